@@ -1,0 +1,38 @@
+"""What can go wrong, in words a user can act on: one base and few children.
+
+A message says what is wrong, where, and which command to type next, in one line. The command line
+prints it after ``error:`` and exits 1; nothing here is ever raised for a mere data row.
+"""
+
+from __future__ import annotations
+
+
+class RoomtablesError(Exception):
+    """Base of every error that a user, rather than a bug, can cause."""
+
+
+class InputError(RoomtablesError):
+    """A file or an argument is malformed (invalid JSON, missing column, wrong type)."""
+
+
+class ConfigError(RoomtablesError):
+    """``build.toml`` or an option holds a value that makes no sense."""
+
+
+class LabelSpaceError(RoomtablesError):
+    """A label space is missing, empty, or ambiguous."""
+
+
+class ModelError(RoomtablesError):
+    """A language model cannot be loaded, or returned scores that are not finite."""
+
+
+class StoreError(RoomtablesError):
+    """Tables are missing, damaged, of another label space, or of another schema version."""
+
+
+class MissingExtraError(RoomtablesError):
+    """A feature needs a package that an optional extra brings."""
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs an extra; run `pip install 'roomtables[{extra}]'`")

@@ -1,0 +1,56 @@
+"""What roomtables asks of a language model: the log probability of a sentence, and who said it.
+
+This module knows no tensors. ``roomtables.lm`` implements the protocol; tests implement it with a
+few lines of arithmetic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+
+class SentenceScore(NamedTuple):
+    """Log probability of a sentence in nats, summed over its ``token_count`` scored tokens."""
+
+    log_prob: float
+    token_count: int
+
+    def reduced(self, reduction: str) -> float:
+        """The score S in nats: the sum of log probabilities, or their mean per scored token."""
+        return self.log_prob if reduction == "sum" else self.log_prob / self.token_count
+
+
+@runtime_checkable
+class Scorer(Protocol):
+    """Scores whole sentences (paper equation 1).
+
+    ``scorer_id`` names the scorer up to everything that changes a score: weights, configuration,
+    tokenizer, BOS rule, scoring rule, compute dtype, device class. It is a folder name.
+    """
+
+    @property
+    def scorer_id(self) -> str: ...
+
+    @property
+    def strategy(self) -> str:
+        """The path in use: ``trie``, ``kv``, ``padded``, … (equal scores, unequal speed)."""
+        ...
+
+    def describe(self) -> Mapping[str, str]:
+        """Provenance for a manifest: model, revision, dtype, device, scoring, versions."""
+        ...
+
+    def score(self, sentences: Sequence[str]) -> list[SentenceScore]:
+        """Scores in the order given.
+
+        Raises
+        ------
+        ModelError
+            A sentence is empty or longer than the model's context, or a score is not finite.
+        """
+        ...
+
+    def score_stream(self, sentences: Iterable[str]) -> Iterator[SentenceScore]:
+        """The same, lazily and in bounded memory: one score per sentence, in order."""
+        ...

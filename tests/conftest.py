@@ -1,0 +1,17 @@
+"""Fixtures that every test may use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real rooms and scenes beside the checkout; tests skip where it is absent."""
+    root = Path(os.environ.get("ROOMTABLES_SHARED", Path(__file__).parents[2] / "shared"))
+    if not (root / "data").is_dir():
+        pytest.skip(f"real test data is not at {root / 'data'} (set ROOMTABLES_SHARED)")
+    return root / "data"
