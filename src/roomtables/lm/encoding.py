@@ -1,0 +1,97 @@
+"""From sentences to what is scored: the tokenizer's own call decides, nothing is added.
+
+The rule: exactly the tokens that the call returns, less an EOS that it appends. The first of them
+is never scored: it is either a BOS, which is no part of the sentence, or it has no context.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from roomtables.errors import ModelError
+
+_PROBE = "A room containing toilets is called a bathroom."
+_UNLIMITED = 1_000_000  # tokenizers without a limit say 1e30
+
+
+class Encoder:
+    """Turns sentences into token ids (lists of int), and refuses those that cannot be scored."""
+
+    def __init__(self, tokenizer: Any, name: str, vocabulary: int, context: int | None) -> None:
+        self.tokenizer = tokenizer
+        self.name = name
+        self._vocabulary = vocabulary
+        limit = getattr(tokenizer, "model_max_length", None) or _UNLIMITED
+        limits = [size for size in (context, limit) if size and size < _UNLIMITED]
+        self.context = int(min(limits)) if limits else None
+        self._appended_eos = self._find_appended_eos()
+
+    def encode(self, sentences: Sequence[str]) -> list[list[int]]:
+        """Token ids of each sentence; all but the first are scored.
+
+        Raises
+        ------
+        ModelError
+            A sentence is empty, holds nothing to score, or is longer than the model's context.
+        """
+        ids = self.call(sentences)["input_ids"]
+        eos = self._appended_eos
+        if eos is not None:
+            ids = [tokens[:-1] if tokens and tokens[-1] == eos else tokens for tokens in ids]
+        for sentence, tokens in zip(sentences, ids, strict=True):
+            self.check(sentence, tokens, fewest=2)
+        return list(ids)
+
+    def call(self, sentences: Sequence[str], **options: Any) -> Any:
+        """The tokenizer's own call.
+
+        Raises
+        ------
+        ModelError
+            A sentence is empty or no text.
+        """
+        for sentence in sentences:
+            if not isinstance(sentence, str) or not sentence.strip():
+                raise ModelError(f"{self.name} cannot score an empty sentence ({sentence!r})")
+        return self.tokenizer(
+            list(sentences),
+            padding=False,
+            truncation=False,
+            return_attention_mask=False,
+            return_token_type_ids=False,
+            verbose=False,
+            **options,
+        )
+
+    def check(self, sentence: str, tokens: Sequence[int], fewest: int) -> None:
+        """Refuse ``tokens`` when the model cannot score them."""
+        if len(tokens) < fewest:
+            raise ModelError(
+                f"{self.name} sees {len(tokens)} token(s) in {quoted(sentence)}, too few to score; "
+                "use a longer sentence"
+            )
+        if self.context is not None and len(tokens) > self.context:
+            raise ModelError(
+                f"{quoted(sentence)} has {len(tokens)} tokens, more than the {self.context} that "
+                f"{self.name} reads; ask for fewer objects (-k), or use another --model"
+            )
+        if max(tokens) >= self._vocabulary:
+            raise ModelError(
+                f"the tokenizer of {self.name} gives token {max(tokens)}, but the model knows only "
+                f"{self._vocabulary}; save the tokenizer that the model was trained with"
+            )
+
+    def _find_appended_eos(self) -> int | None:
+        eos = self.tokenizer.eos_token_id
+        whole = self.call([_PROBE])["input_ids"][0]
+        bare = self.call([_PROBE], add_special_tokens=False)["input_ids"][0]
+        if not whole:
+            raise ModelError(f"the tokenizer of {self.name} finds no tokens in {_PROBE!r}")
+        appended = whole[-1] == eos and (not bare or bare[-1] != eos)
+        return eos if appended else None
+
+
+def quoted(sentence: str) -> str:
+    """The sentence for an error message, shortened in the middle of a long one."""
+    return repr(sentence if len(sentence) <= 120 else f"{sentence[:80]}…{sentence[-30:]}")

@@ -1,0 +1,190 @@
+"""From a model's name to a folder of files that is complete and safe to load. Knows no tensors."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from roomtables.errors import MissingExtraError, ModelError
+
+EMBEDDED_MODEL = "household-lm"
+EMBEDDED_FOLDER = Path(__file__).parents[1] / "models" / EMBEDDED_MODEL
+
+HUB_TIMEOUT_SECONDS = 8
+TOKENIZER_FILES = (
+    "tokenizer.json",
+    "tokenizer.model",
+    "vocab.json",
+    "vocab.txt",
+    "spiece.model",
+    "sentencepiece.bpe.model",
+    "spm.model",
+)
+TOKENIZER_SETTINGS = (
+    "tokenizer_config.json",
+    "special_tokens_map.json",
+    "added_tokens.json",
+    "merges.txt",
+    "bpe.codes",
+)
+HUB_PATTERNS = ["*.safetensors", "*.safetensors.index.json", "config.json"]
+PICKLES = ("pytorch_model*.bin", "*.pt", "*.pth", "*.ckpt")
+
+
+@dataclass(frozen=True)
+class ModelFolder:
+    """A model on disk: its display ``name``, ``path``, parsed ``config`` and hub ``commit``."""
+
+    name: str
+    path: Path
+    config: dict[str, Any]
+    commit: str | None = None
+
+    def weight_files(self) -> list[Path]:
+        """The safetensors files that make up the weights, sorted by name."""
+        index = self.path / "model.safetensors.index.json"
+        if index.is_file():
+            shards = set(_read_json(index, self.name).get("weight_map", {}).values())
+            return [self.path / shard for shard in sorted(shards)]
+        return sorted(self.path.glob("*.safetensors"))
+
+    def tokenizer_files(self) -> list[Path]:
+        """Every file that decides how text becomes tokens, sorted by name."""
+        names = sorted(TOKENIZER_FILES + TOKENIZER_SETTINGS)
+        return [self.path / name for name in names if (self.path / name).is_file()]
+
+
+def resolve(model: str, revision: str | None = None) -> ModelFolder:
+    """Find and check a model's folder.
+
+    A local folder is taken as it is; a hub name is downloaded (safetensors only), or taken from
+    the hub client's cache where the network does not answer.
+
+    Raises
+    ------
+    ModelError
+        No such model, or its folder lacks weights, a configuration, or a tokenizer.
+    """
+    if not model.strip():
+        raise ModelError("the model's name is empty; give --model a hub name or a folder")
+    local = Path(model).expanduser()
+    if model == EMBEDDED_MODEL and not local.is_dir():
+        local = EMBEDDED_FOLDER
+    if local.is_dir():
+        path, commit = local.resolve(), None
+        name = path.name
+    elif model == EMBEDDED_MODEL or _is_path(model):
+        raise ModelError(f"no model folder at {local}; give --model an existing folder")
+    else:
+        path, commit = _from_hub(model, revision)
+        name = model.replace("/", "--")
+    return _checked(model, re.sub(r"[^A-Za-z0-9._-]+", "-", name), path, commit)
+
+
+def _is_path(model: str) -> bool:
+    return model.startswith((".", "/", "~")) or model.count("/") > 1 or os.sep in model[-1:]
+
+
+def _checked(model: str, name: str, path: Path, commit: str | None) -> ModelFolder:
+    if not (path / "config.json").is_file():
+        raise ModelError(
+            f"{model}: no config.json in {path}; give --model a folder that save_pretrained() wrote"
+        )
+    folder = ModelFolder(name, path, _read_json(path / "config.json", model), commit)
+    weights = folder.weight_files()
+    if not weights:
+        pickled = [file.name for pattern in PICKLES for file in path.glob(pattern)]
+        if pickled:
+            raise _pickled(model, pickled[0])
+        raise ModelError(
+            f"{model}: no weights (*.safetensors) in {path}; "
+            "save the model there with save_pretrained()"
+        )
+    for file in weights:
+        if not file.is_file():
+            raise ModelError(f"{model}: weight file {file.name} is missing from {path}; fetch it")
+    if not any((path / name).is_file() for name in TOKENIZER_FILES):
+        raise ModelError(
+            f"{model}: no tokenizer in {path}; save it there with tokenizer.save_pretrained()"
+        )
+    return folder
+
+
+def _pickled(model: str, file: str) -> ModelError:
+    return ModelError(
+        f"{model}: weights are pickled ({file}), which can run code, and are not loaded; convert "
+        "them where you trust them: AutoModelForCausalLM.from_pretrained(…).save_pretrained(…)"
+    )
+
+
+def _read_json(path: Path, model: str) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ModelError(f"{model}: cannot read {path}: {error}; fetch the model again") from error
+    if not isinstance(content, dict):
+        raise ModelError(f"{model}: {path} holds no JSON object; fetch the model again")
+    return content
+
+
+def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
+    """Download what is needed, or find it in the hub client's cache; one attempt, no chatter."""
+    os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
+    os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
+    try:
+        import huggingface_hub
+        from huggingface_hub import errors as hub_errors
+    except ImportError as error:
+        raise MissingExtraError(f"the hub model {model}", "lm") from error
+    patterns = [*HUB_PATTERNS, *TOKENIZER_FILES, *TOKENIZER_SETTINGS]
+    try:
+        info = huggingface_hub.HfApi().model_info(
+            model, revision=revision, timeout=HUB_TIMEOUT_SECONDS
+        )
+    except hub_errors.HFValidationError as error:
+        raise ModelError(f"no folder and no hub model is named {model!r}; check --model") from error
+    except (hub_errors.RepositoryNotFoundError, hub_errors.RevisionNotFoundError) as error:
+        at = f" at revision {revision}" if revision else ""
+        raise ModelError(f"the model hub has no {model}{at}; check --model and --revision") from (
+            error
+        )
+    except Exception as error:  # whichever HTTP library, whatever broke: no network
+        return _from_hub_cache(model, revision, patterns, error)
+    files = [sibling.rfilename for sibling in info.siblings or []]
+    if not any(file.endswith(".safetensors") for file in files):
+        pickled = [file for file in files if Path(file).match("*.bin") or Path(file).match("*.pt")]
+        raise _pickled(model, (pickled or ["no safetensors"])[0])
+    try:
+        path = huggingface_hub.snapshot_download(
+            model, revision=info.sha, allow_patterns=patterns, etag_timeout=HUB_TIMEOUT_SECONDS
+        )
+    except Exception as error:
+        raise ModelError(
+            f"downloading {model} from the model hub broke off ({_first_line(error)}); run it again"
+        ) from error
+    return Path(path), info.sha
+
+
+def _from_hub_cache(
+    model: str, revision: str | None, patterns: list[str], why: Exception
+) -> tuple[Path, str | None]:
+    import huggingface_hub
+
+    try:
+        path = huggingface_hub.snapshot_download(
+            model, revision=revision, allow_patterns=patterns, local_files_only=True
+        )
+    except Exception as error:
+        raise ModelError(
+            f"no folder is named {model} and the model hub does not answer ({_first_line(why)}); "
+            f"give --model a local folder, or {EMBEDDED_MODEL}, which is built in"
+        ) from error
+    return Path(path), Path(path).name
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:120]

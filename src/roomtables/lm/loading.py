@@ -1,0 +1,175 @@
+"""Loads a model and its tokenizer with transformers, quietly, safely, and with clear refusals."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+import transformers
+
+from roomtables.errors import ModelError, RoomtablesError
+from roomtables.lm.causal import CausalBackend
+from roomtables.lm.encoding import Encoder
+from roomtables.lm.folders import ModelFolder, resolve
+from roomtables.lm.forward import Forward
+from roomtables.lm.identity import device_class, scorer_id, scoring_kind
+from roomtables.lm.masked import MaskedBackend
+from roomtables.lm.windows import SentenceScorer
+
+_log = logging.getLogger(__name__)
+
+# Tokens in one forward: on a CPU enough to keep the matrix products busy, on a GPU far more.
+DEFAULT_TOKEN_BUDGET = {"cpu": 1024, "cuda": 16384}
+_CONTEXT_KEYS = ("max_position_embeddings", "n_positions", "n_ctx", "max_seq_len")
+
+
+def load(
+    model: str,
+    *,
+    revision: str | None,
+    dtype: str,
+    device: str,
+    scoring: str | None,
+    token_budget: int | None,
+    progress: bool,
+) -> SentenceScorer:
+    """See :func:`roomtables.lm.load_scorer`."""
+    place = device_class(device)
+    if token_budget is not None and token_budget < 1:
+        raise ModelError(f"the token budget is {token_budget}; give at least 1")
+    folder = resolve(model, revision)
+    kind = scoring_kind(folder, scoring)
+    identity = scorer_id(folder, dtype, place, kind)
+    _quieten()
+    tokenizer = _load_tokenizer(folder)
+    network = _load_network(folder, kind, dtype, place)
+    config = network.config.get_text_config()
+    encoder = Encoder(tokenizer, folder.name, _vocabulary(network), _context(config))
+    forward = Forward(network)
+    budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
+    backend: CausalBackend | MaskedBackend
+    if kind == "causal":
+        backend = CausalBackend(forward, encoder, budget)
+    else:
+        backend = MaskedBackend(forward, encoder, whole_words=kind == "pll_word_l2r")
+    _log.info("%s on %s: strategy %s", identity, place, backend.strategy)
+    return SentenceScorer(
+        backend,
+        scorer_id=identity,
+        provenance={
+            "model": model,
+            "revision": folder.commit or revision or "",
+            "dtype": dtype,
+            "device": _device_name(place),
+            "scoring": kind,
+            "strategy": backend.strategy,
+            "fallbacks": "; ".join(backend.fallbacks),
+            "parameters": str(sum(weight.numel() for weight in network.parameters())),
+            "torch": torch.__version__,
+            "transformers": transformers.__version__,
+        },
+        token_budget=budget,
+        progress=progress,
+    )
+
+
+def _quieten() -> None:
+    transformers.logging.set_verbosity_error()
+    transformers.logging.disable_progress_bar()
+
+
+def _load_tokenizer(folder: ModelFolder) -> Any:
+    try:
+        return transformers.AutoTokenizer.from_pretrained(
+            folder.path, trust_remote_code=False, local_files_only=True
+        )
+    except Exception as error:  # a damaged file surfaces as any exception
+        raise ModelError(
+            f"{folder.name}: cannot read the tokenizer in {folder.path} ({_one_line(error)}); "
+            "save it again with tokenizer.save_pretrained()"
+        ) from error
+
+
+def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any:
+    _refuse_foreign_code(folder)
+    auto = (
+        transformers.AutoModelForCausalLM if kind == "causal" else transformers.AutoModelForMaskedLM
+    )
+    try:
+        network, report = auto.from_pretrained(
+            folder.path,
+            dtype=getattr(torch, dtype),
+            use_safetensors=True,
+            trust_remote_code=False,
+            local_files_only=True,
+            output_loading_info=True,
+        )
+        _refuse_missing_weights(folder, report)
+        return network.eval().requires_grad_(False).to(device)
+    except RoomtablesError:
+        raise
+    except torch.cuda.OutOfMemoryError as error:
+        raise ModelError(
+            f"{folder.name} does not fit into the GPU's memory in {dtype}; "
+            "try --dtype float16, or --device cpu"
+        ) from error
+    except Exception as error:  # unknown architecture, damaged weights, shapes that disagree
+        raise ModelError(
+            f"{folder.name}: transformers {transformers.__version__} cannot load it as a "
+            f"{'causal' if kind == 'causal' else 'masked'} language model ({_one_line(error)}); "
+            "use another --model"
+        ) from error
+
+
+def _refuse_foreign_code(folder: ModelFolder) -> None:
+    model_type = folder.config.get("model_type", "")
+    if model_type in transformers.CONFIG_MAPPING:
+        return
+    if "auto_map" in folder.config:
+        raise ModelError(
+            f"{folder.name} brings its own code, which is never run (trust_remote_code); "
+            "use another --model"
+        )
+    raise ModelError(
+        f"{folder.name}: transformers {transformers.__version__} knows no model type "
+        f"{model_type!r}; upgrade transformers, or use another --model"
+    )
+
+
+def _refuse_missing_weights(folder: ModelFolder, report: Mapping[str, Any]) -> None:
+    """Weights that a file lacks would be drawn at random, and the scores with them."""
+    lacking = sorted(report.get("missing_keys") or []) + [
+        str(key[0] if isinstance(key, tuple) else key)
+        for key in report.get("mismatched_keys") or []
+    ]
+    if lacking:
+        raise ModelError(
+            f"{folder.name}: its weights lack {len(lacking)} tensor(s) such as {lacking[0]}; "
+            "use a complete checkpoint with its language-modelling head"
+        )
+
+
+def _vocabulary(network: Any) -> int:
+    return int(network.get_input_embeddings().num_embeddings)
+
+
+def _context(config: Any) -> int | None:
+    for key in _CONTEXT_KEYS:
+        size = getattr(config, key, None)
+        if isinstance(size, int) and size > 0:
+            offset = getattr(config, "pad_token_id", None)
+            if "roberta" in config.model_type or config.model_type == "camembert":
+                return size - (offset or 0) - 1  # positions start after the padding index
+            return size
+    return None
+
+
+def _device_name(device: str) -> str:
+    return f"cuda ({torch.cuda.get_device_name()})" if device == "cuda" else device
+
+
+def _one_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines or [type(error).__name__])[0][:200]
