@@ -91,4 +91,6 @@ def read_room_lines(path: Path) -> Iterator[Room]:
         with path.open("rb") as lines:
             yield from parse_room_lines(lines, str(path))
     except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}; give a file of room lines") from error
+        raise InputError(
+            f"cannot read {path}: {error.strerror}; give a file of room lines"
+        ) from error

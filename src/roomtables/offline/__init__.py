@@ -1,0 +1,1 @@
+"""The offline wing: makes tables."""

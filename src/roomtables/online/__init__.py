@@ -1,0 +1,1 @@
+"""The online wing: reads tables, decides rooms."""

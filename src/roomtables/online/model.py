@@ -1,0 +1,88 @@
+"""The language model behind a published version, loaded on the first question that needs it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roomtables.errors import MissingExtraError
+from roomtables.labels import ObjectLabel, RoomLabel
+from roomtables.scorer import Scorer
+from roomtables.sentences import Template
+
+log = logging.getLogger(__name__)
+
+
+class QueryModel:
+    """Scores query sentences that no table holds; says so once where it cannot."""
+
+    def __init__(
+        self, manifest: Mapping[str, Any], scorer: Scorer | None = None, allowed: bool = True
+    ) -> None:
+        self._manifest = manifest
+        self._scorer = scorer
+        self._allowed = allowed
+        self._template = Template(manifest["template"])
+        self._reduction: str = manifest["reduction"]
+        self._lock = threading.Lock()
+
+    @property
+    def extends_tables(self) -> bool:
+        """Whether the model is the one whose scores the co-occurrence tables hold."""
+        return bool(self._manifest["scorer_id"] == self._manifest["query_scorer_id"])
+
+    def load(self) -> Scorer | None:
+        """The scorer, or ``None`` where it is not allowed or not installed.
+
+        Raises
+        ------
+        ModelError
+            The model that the tables were built with is not to be had.
+        """
+        with self._lock:
+            if self._scorer is None and self._allowed:
+                self._scorer = self._load()
+                self._allowed = self._scorer is not None
+            return self._scorer
+
+    def score(
+        self, asked: Sequence[tuple[Sequence[ObjectLabel], Sequence[RoomLabel]]]
+    ) -> list[NDArray[np.float64]] | None:
+        """S of the query sentences, ``[rooms]`` in nats per question, all in one batched pass.
+
+        ``None`` where there is no model.
+        """
+        scorer = self.load()
+        if scorer is None:
+            return None
+        sentences = [self._template.compose(objects, rooms) for objects, rooms in asked]
+        scores = iter(scorer.score([text for texts in sentences for text in texts]))
+        return [
+            np.array([next(scores).reduced(self._reduction) for _ in texts]) for texts in sentences
+        ]
+
+    def _load(self) -> Scorer | None:
+        settings = dict(self._manifest["model"])
+        settings.pop("described", None)
+        try:
+            from roomtables.lm import load_scorer
+
+            scorer = load_scorer(settings.pop("model"), device="auto", **settings)
+        except (ImportError, MissingExtraError):
+            log.warning(
+                "no language model here, so what no table holds stays unanswered; "
+                "run `pip install 'roomtables[lm]'`, or pass --offline"
+            )
+            return None
+        expected = self._manifest["query_scorer_id"]
+        if expected not in {None, scorer.scorer_id}:
+            log.warning(
+                "the tables were scored by %s, the model here is %s; run `roomtables build`",
+                expected, scorer.scorer_id,
+            )  # fmt: skip
+        return scorer

@@ -1,0 +1,53 @@
+"""How a room is decided: arithmetic on scores, numpy only.
+
+All arrays are in nats; the last axis runs over the candidate rooms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def log_softmax(scores: Array) -> Array:
+    """Log probabilities of scores, over the last axis; a row of nothing but −inf is uniform."""
+    highest = np.max(scores, axis=-1, keepdims=True)
+    hopeless = np.isneginf(highest)
+    shifted = np.where(hopeless, 0.0, scores - np.where(hopeless, 0.0, highest))
+    result: Array = shifted - np.log(np.sum(np.exp(shifted), axis=-1, keepdims=True))
+    return result
+
+
+def entropy(log_probabilities: Array) -> Array:
+    """H = −Σ p log p over the last axis (paper equation 3); p = 0 adds nothing."""
+    p = np.exp(log_probabilities)
+    finite = np.where(p > 0, log_probabilities, 0.0)
+    return np.maximum(-np.sum(p * finite, axis=-1), 0.0)
+
+
+def room_bias(object_room: Array) -> Array:
+    """b: the mean over objects of L = log softmax of S; ``[objects, rooms]`` → ``[rooms]``."""
+    result: Array = np.mean(log_softmax(object_room), axis=0)
+    return result
+
+
+def calibrated(scores: Array, bias: Array, prior_weight: float) -> Array:
+    """Query scores less the share λ of the model's taste in rooms: score − λ b."""
+    return scores - prior_weight * bias
+
+
+def pooled_evidence(
+    object_room: Array, bias: Array, prior_weight: float, evidence_power: float
+) -> Array:
+    """What each object adds to each room: w(o) L′(o, r), ``[objects, rooms]``.
+
+    L′ = log softmax of (L − λ b), and w = (log n − H′)^γ, where H′ is the entropy of L′ and n the
+    number of rooms: an object that says nothing of the room weighs nothing.
+    """
+    adjusted = log_softmax(log_softmax(object_room) - prior_weight * bias)
+    informativeness = np.maximum(np.log(adjusted.shape[-1]) - entropy(adjusted), 0.0)
+    weights = np.power(informativeness, evidence_power)[..., np.newaxis]
+    with np.errstate(invalid="ignore"):  # 0 × −inf: an object without weight adds nothing
+        return np.where(weights > 0, weights * adjusted, 0.0)

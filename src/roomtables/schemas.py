@@ -1,0 +1,152 @@
+"""The published tables: columns, types, keys and grain, in one place (plain data, no pyarrow)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+SCHEMA_VERSION = 1
+
+GROUND_TRUTH = "ground_truth"
+PROXY = "proxy"
+SOURCES = (GROUND_TRUTH, PROXY)
+
+QUERY = "query"
+CALIBRATED = "calibrated"
+POOLED = "pooled"
+RULES = (QUERY, CALIBRATED, POOLED)
+
+REDUCTIONS = ("sum", "mean")
+# Entropies closer than this are equal; the label then decides (DuckDB and numpy sum in their own
+# order, and the authors' counts hold entropies less than 1e-9 apart).
+ENTROPY_DECIMALS = 10
+
+
+class Column(NamedTuple):
+    """A column: its name, its DuckDB type, and what it holds, with its unit."""
+
+    name: str
+    type: str
+    meaning: str
+
+
+class Table(NamedTuple):
+    """A table: one row per what, which columns, and the columns that identify a row."""
+
+    name: str
+    grain: str
+    columns: tuple[Column, ...]
+    key: tuple[str, ...]
+
+
+TABLES = (
+    Table(
+        "objects",
+        "one row per object label",
+        (
+            Column("id", "integer", "position among the labels, sorted, from 0"),
+            Column("label", "varchar", "the object's label"),
+            Column("plural", "varchar", "the plural that a sentence says"),
+        ),
+        ("id",),
+    ),
+    Table(
+        "rooms",
+        "one row per room label",
+        (
+            Column("id", "integer", "position among the labels, sorted, from 0"),
+            Column("label", "varchar", "the room's label"),
+            Column("article", "varchar", "a or an"),
+            Column("predicted", "boolean", "false: in the distributions, never the answer"),
+        ),
+        ("id",),
+    ),
+    Table(
+        "sentence_scores",
+        "one row per scorer and sentence",
+        (
+            Column("scorer_id", "varchar", "who scored: model, tokenizer, rule, dtype, device"),
+            Column("sentence", "varchar", "the exact sentence"),
+            Column("log_prob", "double", "log probability in nats, summed over scored tokens"),
+            Column("token_count", "integer", "how many tokens were scored"),
+        ),
+        ("scorer_id", "sentence"),
+    ),
+    Table(
+        "cooccurrence",
+        "one row per source, object, room",
+        (
+            Column("source", "varchar", "ground_truth (counts) or proxy (language model)"),
+            Column("object", "varchar", "object label"),
+            Column("room", "varchar", "room label, predicted or not"),
+            Column("count", "double", "times seen together; null for proxy"),
+            Column("score", "double", "S(o, r) in nats; null for ground_truth"),
+            Column("p_room_given_object", "double", "p(room | object), sums to 1 over rooms"),
+        ),
+        ("source", "object", "room"),
+    ),
+    Table(
+        "entropy",
+        "one row per source, object",
+        (
+            Column("source", "varchar", "ground_truth or proxy"),
+            Column("object", "varchar", "object label"),
+            Column("entropy_nats", "double", "entropy of p(room | object), in nats"),
+            Column("rank", "integer", "1 = most informative; ties go to the label first in order"),
+        ),
+        ("source", "object"),
+    ),
+    Table(
+        "room_bias",
+        "one row per source, predicted room",
+        (
+            Column("source", "varchar", "ground_truth or proxy"),
+            Column("room", "varchar", "predicted room label"),
+            Column("bias_nats", "double", "b: mean over objects of log softmax of S, in nats"),
+        ),
+        ("source", "room"),
+    ),
+    Table(
+        "query_scores",
+        "one row per source, combination of objects",
+        (
+            Column("source", "varchar", "whose entropies chose and ordered the objects"),
+            Column("key", "ubigint", "the objects' ranks, packed, most informative first"),
+            Column("objects", "varchar[]", "object labels, in sentence order"),
+            Column("scores", "float[]", "S of the query sentence, one per predicted room, nats"),
+        ),
+        ("source", "key"),
+    ),
+    Table(
+        "misses",
+        "one row per combination asked for in vain",
+        (
+            Column("source", "varchar", "source of the question"),
+            Column("objects", "varchar[]", "object labels, in sentence order"),
+            Column("times_asked", "bigint", "how often"),
+            Column("last_asked", "timestamp", "when last, UTC"),
+        ),
+        ("source", "objects"),
+    ),
+)
+TABLE_BY_NAME = {table.name: table for table in TABLES}
+# What a version publishes: the sentence scores are shared by all label spaces, the misses are live.
+VERSION_TABLES = ("objects", "rooms", "cooccurrence", "entropy", "room_bias", "query_scores")
+
+
+def data_dictionary() -> str:
+    """The data dictionary, as Markdown: `tables/README.md` is this text."""
+    lines = [
+        "# Tables: the data dictionary",
+        "",
+        f"Generated from `roomtables.schemas` (schema version {SCHEMA_VERSION}) by "
+        "`python -m roomtables.schemas`.",
+    ]
+    for table in TABLES:
+        lines += ["", f"## {table.name}", f"{table.grain}; key: {', '.join(table.key)}", ""]
+        lines += ["| column | type | meaning |", "|---|---|---|"]
+        lines += [f"| {c.name} | {c.type} | {c.meaning} |" for c in table.columns]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(data_dictionary(), end="")

@@ -1,0 +1,52 @@
+"""The only place where sentences are composed (paper equation 5).
+
+"A room containing o1, o2, and ok is called a(n) r."
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from roomtables.errors import ConfigError
+from roomtables.labels import ObjectLabel, RoomLabel
+
+DEFAULT_TEMPLATE = "A room containing {objects} is called {room}."
+
+
+def enumerate_nouns(nouns: Sequence[str]) -> str:
+    """``a``; ``a and b``; ``a, b, and c``."""
+    if len(nouns) < 3:
+        return " and ".join(nouns)
+    return f"{', '.join(nouns[:-1])}, and {nouns[-1]}"
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """A query sentence with ``{objects}`` (a list of plurals) and ``{room}`` (with its article).
+
+    Raises
+    ------
+    ConfigError
+        The text does not hold each placeholder exactly once, or holds another.
+    """
+
+    text: str = DEFAULT_TEMPLATE
+
+    def __post_init__(self) -> None:
+        try:
+            parts = list(string.Formatter().parse(self.text))
+        except ValueError:
+            parts = []
+        fields = sorted(name for _, name, _, _ in parts if name is not None)
+        if fields != ["objects", "room"] or any(spec or conv for _, _, spec, conv in parts):
+            raise ConfigError(
+                f"template {self.text!r} must hold {{objects}} and {{room}} once each; "
+                "correct `template` in build.toml"
+            )
+
+    def compose(self, objects: Sequence[ObjectLabel], rooms: Sequence[RoomLabel]) -> list[str]:
+        """One sentence per room, all with the same objects, in the order given."""
+        nouns = enumerate_nouns([label.plural for label in objects])
+        return [self.text.format(objects=nouns, room=room.phrase) for room in rooms]

@@ -1,0 +1,216 @@
+"""Published versions on disk: found through ``CURRENT``, written aside, moved into place.
+
+::
+
+    tables/<label space>/CURRENT            names the published version
+    tables/<label space>/<version>/manifest.json, *.parquet, lookup/
+
+A reader opens through ``CURRENT`` once and keeps what it opened; a writer never touches a published
+file. This module needs no pyarrow and no duckdb.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from roomtables.errors import StoreError
+from roomtables.schemas import SCHEMA_VERSION
+
+MANIFEST = "manifest.json"
+CURRENT = "CURRENT"
+LOOKUP = "lookup"
+KEPT_VERSIONS = 2
+_STAGING = ".staging-"
+
+
+def write_aside(path: Path, data: bytes) -> None:
+    """Replace a file atomically: a reader sees the old content or the new, never a part."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with aside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(aside, path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+
+
+@dataclass(frozen=True)
+class Version:
+    """One published version: its folder and its manifest."""
+
+    path: Path
+    manifest: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    @property
+    def created(self) -> datetime:
+        """When the version was published, in UTC."""
+        return datetime.fromisoformat(self.manifest["created"])
+
+    @classmethod
+    def open(cls, path: Path) -> Version:
+        """The version in a folder.
+
+        Raises
+        ------
+        StoreError
+            Its manifest is missing, damaged, or of another schema version.
+        """
+        manifest_path = path / MANIFEST
+        try:
+            manifest = json.loads(manifest_path.read_bytes())
+            schema_version = manifest["schema_version"]
+        except OSError as error:
+            raise StoreError(
+                f"cannot read {manifest_path}: {error.strerror}; run `roomtables build`"
+            ) from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise StoreError(
+                f"{manifest_path} is damaged; run `roomtables build --full-refresh`"
+            ) from error
+        if schema_version != SCHEMA_VERSION:
+            raise StoreError(
+                f"{path} has schema version {schema_version}, this roomtables reads "
+                f"{SCHEMA_VERSION}; run `roomtables build`"
+            )
+        return cls(path, manifest)
+
+
+class SpaceFolder:
+    """The versions of one label space under a tables folder."""
+
+    def __init__(self, tables: Path, labels: str) -> None:
+        self.labels = labels
+        self.path = tables / labels
+
+    def current(self) -> Version:
+        """The published version.
+
+        Raises
+        ------
+        StoreError
+            Nothing is published, ``CURRENT`` names nothing, or the version cannot be opened.
+        """
+        pointer = self.path / CURRENT
+        try:
+            name = pointer.read_text(encoding="utf-8").strip()
+        except FileNotFoundError:
+            raise StoreError(
+                f"no tables for {self.labels} in {self.path.parent}{self._others()}; "
+                f"run `roomtables build --labels {self.labels} --tables {self.path.parent}`"
+            ) from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise StoreError(f"cannot read {pointer}: {error}; run `roomtables build`") from error
+        version = self.path / name
+        if not name or Path(name).name != name or not (version / MANIFEST).is_file():
+            raise StoreError(
+                f"{pointer} names {name!r}, which is not there; run `roomtables build`"
+            )
+        return Version.open(version)
+
+    def published(self) -> Version | None:
+        """The published version, or ``None`` where nothing usable is published."""
+        try:
+            return self.current()
+        except StoreError:
+            return None
+
+    def versions(self) -> list[Path]:
+        """Folders of the versions, oldest first."""
+        if not self.path.is_dir():
+            return []
+        return sorted(path.parent for path in self.path.glob(f"[!.]*/{MANIFEST}"))
+
+    def new_name(self, fingerprint: str) -> str:
+        """A name for the next version: a number, which no clock can turn back, and its inputs."""
+        numbers = [int(n) for path in self.versions() if (n := path.name.split("-")[0]).isdigit()]
+        return f"{max(numbers, default=0) + 1:06d}-{fingerprint[:8]}"
+
+    def publish(self, staging: Path, name: str, manifest: Mapping[str, Any]) -> Version:
+        """Write the manifest, move the staged folder into place, and point ``CURRENT`` at it."""
+        target = self.path / name
+        if target.exists():
+            raise StoreError(f"{target} exists already; run `roomtables gc`, then build again")
+        text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False)
+        write_aside(staging / MANIFEST, text.encode())
+        os.replace(staging, target)
+        write_aside(self.path / CURRENT, f"{name}\n".encode())
+        return Version.open(target)
+
+    @contextmanager
+    def staging(self) -> Iterator[Path]:
+        """A folder to write a version aside in; whatever is left of it at the end is removed."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        for abandoned in self.path.glob(f"{_STAGING}*"):
+            shutil.rmtree(abandoned, ignore_errors=True)
+        folder = self.path / f"{_STAGING}{os.getpid()}"
+        try:
+            folder.mkdir()
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def remove_old(self, keep: int = KEPT_VERSIONS) -> list[str]:
+        """Remove all but the newest versions and the current one; the names of those removed."""
+        current = self.published()
+        removed = []
+        for path in self.versions()[:-keep]:
+            if current is None or path != current.path:
+                shutil.rmtree(path, ignore_errors=True)
+                removed.append(path.name)
+        return removed
+
+    def _others(self) -> str:
+        names = sorted(path.parent.name for path in self.path.parent.glob(f"*/{CURRENT}"))
+        return f" (there are tables for {', '.join(names)})" if names else ""
+
+
+@contextmanager
+def build_lock(tables: Path) -> Iterator[None]:
+    """Hold the one writer's lock of a tables folder; the system frees it if the process dies.
+
+    Raises
+    ------
+    StoreError
+        The folder cannot be written, or another build holds the lock.
+    """
+    try:
+        tables.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(tables / ".build-lock", os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise StoreError(
+            f"cannot write to {tables}: {error.strerror}; choose another with `--tables DIR`"
+        ) from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = os.read(descriptor, 200).decode(errors="replace").strip() or "another process"
+            raise StoreError(
+                f"{tables} is being built by {holder}; wait for it, then run `roomtables build`"
+            ) from None
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"process {os.getpid()} since {utc_now()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def utc_now() -> str:
+    """The time, in UTC, as ISO 8601 to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
