@@ -162,8 +162,9 @@ def _typed(name: str, value: Any, path: Path | None) -> Any:
     where = path or "build.toml"
     if name not in {known.name for known in fields(BuildConfig)}:
         raise ConfigError(f"{where}: unknown key `{name}`")
-    expected = _TYPES.get(name, (str, Path))
-    if not isinstance(value, expected) or (isinstance(value, bool) and expected != (bool,)):
+    expected: tuple[type, ...] = _TYPES.get(name, (str, Path))
+    fits = isinstance(value, expected) and (expected == (bool,) or not isinstance(value, bool))
+    if not fits:
         raise ConfigError(f"{where}: `{name}` must be {expected[0].__name__}, not {value!r}")
     if name in _PATHS:
         return Path(value)

@@ -186,10 +186,11 @@ def _check_distinct(labels: Sequence[ObjectLabel | RoomLabel], where: str) -> No
 
 def _aliases(labels: Sequence[Label], derived: Callable[[Label], Iterable[str]]) -> dict[str, str]:
     """What is written wins over what is derived; among derived ones the label that sorts first."""
-    written = {normalise(name): a.label for a in labels for name in (a.label, *a.synonyms)}
+    written: dict[str, str] = {}
     inflected: dict[str, str] = {}
     for label in labels:
         names = [label.label, *label.synonyms]
+        written |= {normalise(name): label.label for name in names}
         forms = [*derived(label), *map(english.pluralise, names), *map(english.singular, names)]
         for form in forms:
             if form is not None:

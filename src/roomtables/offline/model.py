@@ -1,4 +1,4 @@
-"""The build's language model: identified without being loaded, loaded when something is to score."""
+"""The build's language model: identified from its files, loaded when there is something to score."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from roomtables.config import pipeline_folder
 from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
 from roomtables.offline.cache import NO_SCORES, quote
-from roomtables.offline.inputs import PairValues
+from roomtables.offline.pairs import PairValues
 from roomtables.schemas import TABLE_BY_NAME
 
 _SHOWN_ROWS = 3

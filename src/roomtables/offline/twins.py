@@ -21,7 +21,7 @@ def derive_twin(
     labels: LabelSpace,
     settings: Mapping[str, Any],
 ) -> None:
-    """Write ``lookup/`` from tables ``entropy``, ``cooccurrence``, ``room_bias``, ``query_scores``."""
+    """Write ``lookup/`` from the tables of the stages before it."""
     found = connection.execute("select distinct source from cooccurrence order by source")
     sources = [source for (source,) in found.fetchall()]
     write_twin(folder, labels, settings, {s: _arrays(connection, s, labels) for s in sources})

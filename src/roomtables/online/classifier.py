@@ -48,7 +48,7 @@ class _Object:
     label: ObjectLabel
     rank_key: tuple[float, str]
     rank: int | None
-    evidence: NDArray[np.float64] | None
+    evidence: NDArray[np.float64]
 
 
 @dataclass
@@ -289,7 +289,8 @@ class RoomTables:
         row = int(np.searchsorted(keys, np.uint64(key)))
         if row == len(keys) or keys[row] != key:
             return None
-        return self._arrays.scores[row][self._columns].astype(np.float64)
+        scores: NDArray[np.float64] = self._arrays.scores[row][self._columns].astype(np.float64)
+        return scores
 
     def _predict(
         self, question: _Question, compared: NDArray[np.float64] | None, answered_by: str

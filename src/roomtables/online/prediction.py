@@ -43,7 +43,7 @@ class Prediction:
     ) -> None:
         self._rooms = rooms
         self._compared = compared
-        # Rooms are sorted by label and argmax takes the first: a tie goes to the label first in order.
+        # Rooms are sorted and argmax takes the first: a tie goes to the label that sorts first.
         self.room = None if compared is None else rooms[int(compared.argmax())]
         self.objects = objects
         self.unknown_objects = unknown_objects

@@ -24,7 +24,8 @@ def entropy(log_probabilities: Array) -> Array:
     """H = −Σ p log p over the last axis (paper equation 3); p = 0 adds nothing."""
     p = np.exp(log_probabilities)
     finite = np.where(p > 0, log_probabilities, 0.0)
-    return np.maximum(-np.sum(p * finite, axis=-1), 0.0)
+    result: Array = np.maximum(-np.sum(p * finite, axis=-1), 0.0)
+    return result
 
 
 def room_bias(object_room: Array) -> Array:

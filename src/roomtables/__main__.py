@@ -1,0 +1,5 @@
+"""``python -m roomtables``."""
+
+from roomtables.cli import main
+
+main()

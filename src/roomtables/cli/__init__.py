@@ -1,0 +1,29 @@
+"""The command line: parse, call the package, print, choose an exit code."""
+
+from __future__ import annotations
+
+import click
+
+from roomtables.cli.common import Group
+from roomtables.cli.labelling import classify, evaluate_command
+from roomtables.cli.spaces import labels
+from roomtables.cli.tables import build_command, sql_command, status
+
+
+@click.group(cls=Group)
+@click.version_option(package_name="roomtables")
+def main() -> None:
+    """Label rooms by the objects in them, with a language model's common sense in tables.
+
+    \b
+    Exit codes: 0 done; 1 something to correct (one line says what); 2 wrong usage.
+
+    \b
+    Example:
+      roomtables build
+      roomtables classify toilet sink towel
+    """
+
+
+for command in (build_command, classify, evaluate_command, labels, sql_command, status):
+    main.add_command(command)

@@ -1,0 +1,152 @@
+"""What commands share: options, errors as one line, and results as table, JSON or CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from roomtables.errors import RoomtablesError
+from roomtables.schemas import RULES, SOURCES
+from roomtables.store import write_aside
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+FORMATS = ("table", "json", "jsonl", "csv")
+INTERRUPTED = 130
+
+
+class Group(click.Group):
+    """A group of commands whose errors are one line on stderr and exit code 1."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+        logging.addLevelName(logging.WARNING, "warning")
+        try:
+            return super().invoke(ctx)
+        except RoomtablesError as error:
+            click.echo(f"error: {' '.join(str(error).split())}", err=True)
+            ctx.exit(1)
+        except BrokenPipeError:
+            # The reader of our output left: nothing more to say, not even at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            ctx.exit(1)
+        except KeyboardInterrupt:
+            click.echo("interrupted; what is scored is kept", err=True)
+            ctx.exit(INTERRUPTED)
+
+
+tables_option = click.option(
+    "--tables",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("tables"),
+    show_default=True,
+    help="The tables folder.",
+)
+labels_option = click.option(
+    "--labels", default="mpcat40", show_default=True, help="Label space: a name, or its folder."
+)
+output_option = click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write to a file instead of stdout.",
+)
+
+
+def format_option(*formats: str, default: str = "table") -> Callable[[Command], Command]:
+    """``--format`` with the given choices."""
+    return click.option(
+        "--format",
+        "format_",
+        type=click.Choice(formats or FORMATS),
+        default=default,
+        show_default=True,
+        help="How to print.",
+    )
+
+
+def _rooms(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    return None if value is None else tuple(value.split(","))
+
+
+def decision_options(command: Command) -> Command:
+    """Options that say how a room is decided; absent ones are as the tables were built."""
+    for option in reversed(
+        (
+            click.option("--rule", type=click.Choice(RULES), help="How a room is decided."),
+            click.option("--source", type=click.Choice(SOURCES), help="Whose p(room | object)."),
+            click.option("--rooms", callback=_rooms, help="Candidate rooms, separated by commas."),
+            click.option("--prior-weight", type=float, help="λ of rules calibrated and pooled."),
+            click.option("--evidence-power", type=float, help="γ of rule pooled."),
+            click.option("--offline", is_flag=True, help="Never load a language model."),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def render(
+    rows: Sequence[Mapping[str, Any]], format_: str, columns: Sequence[str] | None = None
+) -> str:
+    """Rows as text; ``json`` is a list of them."""
+    names = list(columns if columns is not None else rows[0] if rows else ())
+    if format_ == "json":
+        return as_json([dict(row) for row in rows])
+    if format_ == "jsonl":
+        return "".join(as_json_line(row) for row in rows)
+    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    if format_ == "csv":
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(cells)
+        return buffer.getvalue()
+    from tabulate import tabulate
+
+    return tabulate(cells, headers=names, tablefmt="simple", disable_numparse=True) + "\n"
+
+
+def as_json(value: object) -> str:
+    """Indented JSON, with a line end."""
+    return json.dumps(value, indent=2, ensure_ascii=False, default=str) + "\n"
+
+
+def as_json_line(value: object) -> str:
+    """JSON on one line, with a line end."""
+    return json.dumps(value, ensure_ascii=False, default=str) + "\n"
+
+
+def emit(text: str, output: Path | None = None) -> None:
+    """Print, or write the file whole."""
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        write_aside(output, text.encode())
+
+
+def emit_lines(lines: Iterable[str], output: Path | None) -> None:
+    """Print lines as they come, or write the file whole."""
+    if output is not None:
+        emit("".join(lines), output)
+        return
+    for line in lines:
+        click.echo(line, nl=False)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_cell(item) for item in value)
+    return str(value)

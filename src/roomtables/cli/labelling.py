@@ -1,0 +1,142 @@
+"""Commands that label rooms and judge the labels: classify, evaluate."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import click
+
+from roomtables.cli.common import (
+    as_json,
+    as_json_line,
+    decision_options,
+    emit,
+    emit_lines,
+    format_option,
+    labels_option,
+    output_option,
+    render,
+    tables_option,
+)
+from roomtables.evaluation import Evaluation, evaluate
+from roomtables.online.classifier import RoomTables
+from roomtables.online.prediction import Prediction
+from roomtables.rooms import Room, parse_room_lines, read_room_lines
+
+_CHUNK = 1024  # rooms whose misses share one pass of the model
+_COLUMNS = (
+    "room_id", "room", "probability", "objects", "unknown_objects", "rule", "source", "answered_by",
+)  # fmt: skip
+
+
+@click.command()
+@click.argument("objects", nargs=-1)
+@click.option("--input", "input_", help="A file of rooms; `-` reads JSON lines from stdin.")
+@click.option("--top", type=click.IntRange(min=1), help="Show the N most probable rooms.")
+@tables_option
+@labels_option
+@decision_options
+@format_option()
+@output_option
+def classify(
+    objects: tuple[str, ...],
+    input_: str | None,
+    top: int | None,
+    tables: Path,
+    labels: str,
+    format_: str,
+    output: Path | None,
+    **decision: Any,
+) -> None:
+    """Label a room by its OBJECTs, or every room of a file, in order.
+
+    \b
+    Example:
+      roomtables classify toilet sink towel
+      roomtables classify --input rooms.jsonl --format jsonl --offline
+    """
+    if bool(objects) == bool(input_):
+        raise click.UsageError("give either OBJECTs or --input FILE")
+    opened = RoomTables.open(tables, labels, **decision)
+    rooms = _read(input_) if input_ else iter([Room("", objects)])
+    results = _classified(rooms, opened)
+    if format_ == "jsonl":
+        emit_lines((as_json_line(_record(*result, top)) for result in results), output)
+        return
+    records = [_record(*result, top) for result in results]
+    if format_ == "json":
+        emit(as_json(records), output)
+        return
+    columns = [name for name in _COLUMNS if input_ or name != "room_id"]
+    if top:
+        columns.insert(columns.index("objects"), "top")
+        for record in records:
+            best = record["probabilities"].items()
+            record["top"] = [f"{room} {probability:.3f}" for room, probability in best]
+    emit(render(records, format_, columns), output)
+
+
+def _read(input_: str) -> Iterator[Room]:
+    if input_ == "-":
+        return parse_room_lines(sys.stdin.buffer, "standard input")
+    return read_room_lines(Path(input_))
+
+
+def _classified(rooms: Iterable[Room], tables: RoomTables) -> Iterator[tuple[Room, Prediction]]:
+    rooms = iter(rooms)
+    while chunk := list(islice(rooms, _CHUNK)):
+        predictions = tables.classify_many([room.objects for room in chunk])
+        yield from zip(chunk, predictions, strict=True)
+
+
+def _record(room: Room, prediction: Prediction, top: int | None) -> dict[str, Any]:
+    record = prediction.as_json(room.room_id or None)
+    if top:
+        record["probabilities"] = dict(prediction.top(top))
+    return record
+
+
+@click.command("evaluate")
+@click.argument("rooms_file", metavar="ROOMS", type=click.Path(path_type=Path, dir_okay=False))
+@tables_option
+@labels_option
+@decision_options
+@format_option("table", "json")
+@output_option
+def evaluate_command(
+    rooms_file: Path,
+    tables: Path,
+    labels: str,
+    format_: str,
+    output: Path | None,
+    **decision: Any,
+) -> None:
+    """Compare answers with the true labels of ROOMS (room lines).
+
+    \b
+    Example:
+      roomtables evaluate rooms.jsonl --rule pooled
+    """
+    result = evaluate(rooms_file, RoomTables.open(tables, labels, **decision))
+    emit(as_json(result.as_json()) if format_ == "json" else _summary(result), output)
+
+
+def _summary(result: Evaluation) -> str:
+    rows = [{"room": label, **row} for label, row in result.per_room().items()]
+    baselines = result.baselines()
+    found = result.as_json()
+    lines = [
+        f"{result.correct} of {result.rooms} rooms right: {result.accuracy:.1%} "
+        f"(macro {result.macro_accuracy:.1%}), rule {result.rule}, source {result.source}",
+        f"baselines: uniform {baselines['uniform']:.1%}, majority {baselines['majority']:.1%}",
+        f"answered by: {_counts(found['answered_by'])}; left out: {_counts(found['skipped'])}",
+    ]
+    return "\n".join(lines) + "\n\n" + render(rows, "table")
+
+
+def _counts(counts: dict[str, int]) -> str:
+    return ", ".join(f"{what} {n}" for what, n in sorted(counts.items())) or "none"

@@ -1,0 +1,116 @@
+"""Commands about label spaces: list, show, from-rooms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from roomtables.cli.common import emit, format_option, output_option, render
+from roomtables.config import builtin_labels, load_labels
+from roomtables.errors import InputError
+from roomtables.labels import LabelSpace
+from roomtables.rooms import read_room_lines
+from roomtables.store import write_aside
+
+
+@click.group()
+def labels() -> None:
+    """Label spaces: the names of objects and rooms.
+
+    \b
+    Example:
+      roomtables labels show mpcat40
+    """
+
+
+@labels.command("list")
+@format_option()
+@output_option
+def list_command(format_: str, output: Path | None) -> None:
+    """List the built-in label spaces.
+
+    \b
+    Example:
+      roomtables labels list
+    """
+    spaces = [load_labels(name) for name in builtin_labels()]
+    rows = [
+        {
+            "labels": space.name,
+            "objects": len(space.objects),
+            "rooms": len(space.rooms),
+            "predicted_rooms": len(space.predicted_rooms),
+        }
+        for space in spaces
+    ]
+    emit(render(rows, format_), output)
+
+
+@labels.command()
+@click.argument("space", metavar="NAME|DIR")
+@format_option()
+@output_option
+def show(space: str, format_: str, output: Path | None) -> None:
+    """Show a label space: labels, how sentences say them, synonyms.
+
+    \b
+    Example:
+      roomtables labels show nyuclass --format csv
+    """
+    found = load_labels(space)
+    columns = ("kind", "label", "in_a_sentence", "synonyms", "predicted")
+    listed: list[tuple[object, ...]] = [
+        *(("object", o.label, o.plural, list(o.synonyms), None) for o in found.objects),
+        *(("room", r.label, r.phrase, list(r.synonyms), r.predicted) for r in found.rooms),
+    ]
+    rows = [dict(zip(columns, row, strict=True)) for row in listed]
+    emit(render(rows, format_, columns), output)
+
+
+@labels.command("from-rooms")
+@click.argument("rooms_file", metavar="ROOMS", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="The folder to write; its base name is the label space's name.",
+)
+def from_rooms(rooms_file: Path, output: Path) -> None:
+    """Make a label space of the objects and rooms that a room list names.
+
+    \b
+    Example:
+      roomtables labels from-rooms rooms.jsonl -o mylabels
+    """
+    objects: set[str] = set()
+    rooms: set[str] = set()
+    for room in read_room_lines(rooms_file):
+        objects.update(room.objects)
+        rooms.update(room.truth)
+    if not objects or not rooms:
+        raise InputError(f"{rooms_file} names no object or no room; room lines need `room`")
+    save_labels(LabelSpace.named(output.resolve().name, objects, rooms), output)
+
+
+def save_labels(space: LabelSpace, folder: Path) -> None:
+    """Write a label space's files and say so.
+
+    Raises
+    ------
+    InputError
+        The folder holds a label space already, or cannot be written.
+    """
+    if (folder / "objects.csv").exists() or (folder / "rooms.csv").exists():
+        raise InputError(f"{folder} holds a label space already; give another folder with -o")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {folder}: {error.strerror}") from error
+    for name, text in space.csv_files().items():
+        write_aside(folder / name, text.encode())
+    click.echo(
+        f"wrote {folder}: {len(space.objects)} objects, {len(space.rooms)} rooms; "
+        f"now run `roomtables build --labels {folder}`"
+    )

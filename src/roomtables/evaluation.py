@@ -1,0 +1,149 @@
+"""How often the answer is right, on rooms whose label is known."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from roomtables.errors import InputError
+from roomtables.labels import normalise
+from roomtables.online.classifier import RoomTables
+from roomtables.online.prediction import Prediction
+from roomtables.rooms import Room, read_room_lines
+
+NO_TRUTH = "no true label"
+NOT_A_CANDIDATE = "true label is not a candidate"
+NO_OBJECTS = "no objects"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One evaluated room: its true labels among the candidates, and what was predicted."""
+
+    room: Room
+    truth: tuple[str, ...]
+    prediction: Prediction
+
+    @property
+    def correct(self) -> bool:
+        """Right if the answer is any of the true labels; unanswered is wrong."""
+        return self.prediction.room in self.truth
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Accuracy of one rule and source on a list of rooms."""
+
+    rule: str
+    source: str
+    candidates: tuple[str, ...]
+    judged: tuple[Judged, ...]
+    skipped: Counter[str]
+
+    @property
+    def rooms(self) -> int:
+        """How many rooms were evaluated."""
+        return len(self.judged)
+
+    @property
+    def correct(self) -> int:
+        """How many rooms were labelled right."""
+        return sum(judged.correct for judged in self.judged)
+
+    @property
+    def accuracy(self) -> float:
+        """Share of rooms labelled right."""
+        return self.correct / self.rooms
+
+    @property
+    def macro_accuracy(self) -> float:
+        """Mean over room labels of the share labelled right: each label counts the same."""
+        per_room = self.per_room()
+        return float(sum(row["accuracy"] for row in per_room.values()) / len(per_room))
+
+    def per_room(self) -> dict[str, dict[str, Any]]:
+        """Rooms, correct and accuracy per true label; a room counts under its first label."""
+        rooms = Counter(judged.truth[0] for judged in self.judged)
+        correct = Counter(judged.truth[0] for judged in self.judged if judged.correct)
+        return {
+            label: {"rooms": n, "correct": correct[label], "accuracy": correct[label] / n}
+            for label, n in sorted(rooms.items())
+        }
+
+    def confusion(self) -> list[dict[str, Any]]:
+        """How many rooms of each true label got each answer (``None``: unanswered)."""
+        counts = Counter((judged.truth[0], judged.prediction.room) for judged in self.judged)
+        ordered = sorted(counts.items(), key=lambda item: (item[0][0], item[0][1] or ""))
+        return [{"room": t, "predicted": p, "rooms": n} for (t, p), n in ordered]
+
+    def baselines(self) -> dict[str, float]:
+        """Accuracy of a uniform guess, and of always answering the most frequent true label."""
+        commonest = max(row["rooms"] for row in self.per_room().values())
+        return {"uniform": 1 / len(self.candidates), "majority": commonest / self.rooms}
+
+    def as_json(self) -> dict[str, Any]:
+        """The evaluation under the contract's keys."""
+        return {
+            "rooms": self.rooms,
+            "correct": self.correct,
+            "accuracy": self.accuracy,
+            "macro_accuracy": self.macro_accuracy,
+            "rule": self.rule,
+            "source": self.source,
+            "per_room": self.per_room(),
+            "confusion": self.confusion(),
+            "baselines": self.baselines(),
+            "answered_by": dict(Counter(j.prediction.answered_by for j in self.judged)),
+            "skipped": dict(self.skipped),
+        }
+
+
+def evaluate(rooms: Iterable[Room] | str | Path, tables: RoomTables) -> Evaluation:
+    """Label rooms and compare with their true labels.
+
+    Left out and counted: rooms without a true label, without objects, and those none of whose true
+    labels is a candidate.
+
+    Raises
+    ------
+    InputError
+        A file of room lines is malformed, or no room is left to evaluate.
+    """
+    if isinstance(rooms, str | Path):
+        rooms = read_room_lines(Path(rooms))
+    candidates = tuple(room.label for room in tables.candidates)
+    skipped: Counter[str] = Counter()
+    kept: list[tuple[Room, tuple[str, ...]]] = []
+    for room in rooms:
+        truth, why = _truth(room, tables, candidates)
+        if why:
+            skipped[why] += 1
+        else:
+            kept.append((room, truth))
+    if not kept:
+        reasons = ", ".join(f"{why}: {n}" for why, n in skipped.items()) or "the list is empty"
+        raise InputError(f"no room to evaluate ({reasons}); check `room` and `--labels`")
+    predictions = tables.classify_many([room.objects for room, _ in kept])
+    judged = tuple(
+        Judged(room, truth, prediction)
+        for (room, truth), prediction in zip(kept, predictions, strict=True)
+    )
+    decision = tables.decision
+    return Evaluation(decision.rule, decision.source, candidates, judged, skipped)
+
+
+def _truth(
+    room: Room, tables: RoomTables, candidates: tuple[str, ...]
+) -> tuple[tuple[str, ...], str | None]:
+    """The room's true labels among the candidates, and why it is left out, if it is."""
+    names = [normalise(label) for label in room.truth]
+    labels = [tables.twin.room_aliases.get(name, name) for name in names]
+    truth = tuple(dict.fromkeys(label for label in labels if label in candidates))
+    if not room.truth:
+        return truth, NO_TRUTH
+    if not truth:
+        return truth, NOT_A_CANDIDATE
+    return truth, None if room.objects else NO_OBJECTS
