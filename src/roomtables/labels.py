@@ -11,11 +11,10 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 from roomtables import english
 from roomtables.csv_rows import read_csv
@@ -69,9 +68,6 @@ class RoomLabel:
         return f"{self.article} {self.label}"
 
 
-Label = TypeVar("Label", ObjectLabel, RoomLabel)
-
-
 @dataclass(frozen=True)
 class LabelSpace:
     """The objects and rooms that tables are built for, each sorted by label.
@@ -104,12 +100,12 @@ class LabelSpace:
     @cached_property
     def object_aliases(self) -> dict[str, str]:
         """Every accepted spelling of an object, normalised → its label."""
-        return _aliases(self.objects, lambda label: (label.plural,))
+        return _aliases(self.objects, {o.label: o.plural for o in self.objects})
 
     @cached_property
     def room_aliases(self) -> dict[str, str]:
         """Every accepted spelling of a room, normalised → its label."""
-        return _aliases(self.rooms, lambda label: ())
+        return _aliases(self.rooms, {})
 
     @cached_property
     def fingerprint(self) -> str:
@@ -184,17 +180,19 @@ def _check_distinct(labels: Sequence[ObjectLabel | RoomLabel], where: str) -> No
                 )
 
 
-def _aliases(labels: Sequence[Label], derived: Callable[[Label], Iterable[str]]) -> dict[str, str]:
+def _aliases(
+    labels: Sequence[ObjectLabel | RoomLabel], plurals: Mapping[str, str]
+) -> dict[str, str]:
     """What is written wins over what is derived; among derived ones the label that sorts first."""
     written: dict[str, str] = {}
     inflected: dict[str, str] = {}
     for label in labels:
         names = [label.label, *label.synonyms]
         written |= {normalise(name): label.label for name in names}
-        forms = [*derived(label), *map(english.pluralise, names), *map(english.singular, names)]
-        for form in forms:
-            if form is not None:
-                inflected.setdefault(normalise(form), label.label)
+        forms = {plurals.get(label.label)}
+        forms.update(map(english.pluralise, names), map(english.singular, names))
+        for form in forms - {None}:
+            inflected.setdefault(normalise(str(form)), label.label)
     return inflected | written
 
 

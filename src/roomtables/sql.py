@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
 from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES
 from roomtables.store import Version
@@ -26,15 +27,8 @@ def connect(tables: Path, version: Version) -> Any:
         path = version.path.resolve() / f"{name}.parquet"
         connection.execute(f"create view {name} as select * from read_parquet({_literal(path)})")
     _sentence_scores(connection, tables)
-    connection.execute(
-        "create view query_scores_long as "
-        "with long as (select source, objects, unnest(scores) as score, "
-        "unnest((select list(label order by label) from rooms where predicted)) as room "
-        "from query_scores) "
-        "select source, objects, room, score, exp(score - max(score) over combination) "
-        "/ sum(exp(score - max(score) over combination)) over combination as p_room "
-        "from long window combination as (partition by source, objects)"
-    )
+    for path in sorted((pipeline_folder() / "views").glob("*.sql")):
+        connection.execute(f"create view {path.stem} as {path.read_text(encoding='utf-8')}")
     connection.execute(f"set allowed_directories = [{_literal(tables.resolve())}]")
     connection.execute("set enable_external_access = false")
     connection.execute("set lock_configuration = true")

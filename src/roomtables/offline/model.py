@@ -1,4 +1,4 @@
-"""The build's language model: identified from its files, loaded when there is something to score."""
+"""The build's language model: identified from its files, loaded when it has to score."""
 
 from __future__ import annotations
 
