@@ -1,4 +1,4 @@
-"""Check the knowledge files: `python pipeline/household_lm/check_knowledge.py` (exit 1 on problems)."""
+"""Check the knowledge files; prints counts and problems, exits with 1 if there are problems."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KNOWLEDGE = Path(__file__).parent / "knowledge"
 TIERS = ("nearly_always", "often", "sometimes", "rarely", "never")
 LISTS = ("synonyms", "purpose", "description", "near", *TIERS)
 SETTINGS = frozenset(
-    "home office school hotel shop hospital restaurant public industrial".split()
+    {"home", "office", "school", "hotel", "shop", "hospital", "restaurant", "public", "industrial"}
 )
 COLUMNS = ["object", "kind", "definition", "use", "place", "synonyms"]
 QUERY_FRAME = "a room containing"  # kept for the sentences that are scored, never trained on
@@ -61,10 +61,9 @@ def room_problems(file: str, room: dict[str, Any], objects: set[str], rooms: set
     named = Counter(chain.from_iterable(room[tier] for tier in TIERS))
     problems += [f"{file}: {name!r} is named {n} times" for name, n in named.items() if n > 1]
     problems += [f"{file}: {name!r} is not in objects.csv" for name in named if name not in objects]
-    problems += [f"{file}: no room {name!r} to be near" for name in room["near"] if name not in rooms]
-    problems += [
-        f"{file}: synonym {name!r} is a room of its own" for name in room["synonyms"] if name in rooms
-    ]
+    problems += [f"{file}: no room {name!r} near by" for name in room["near"] if name not in rooms]
+    clashes = rooms.intersection(room["synonyms"])
+    problems += [f"{file}: synonym {name!r} is a room of its own" for name in sorted(clashes)]
     problems += [f"{file}: {key} is empty" for key in LISTS if not room[key]]
     return problems
 
