@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
 
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import FloatArray, Forward
 from roomtables.lm.progress import Meter
-from roomtables.lm.sequences import sort_sequences
-from roomtables.lm.strategies import padded
+from roomtables.lm.selfcheck import choose
+from roomtables.lm.sequences import Sequences, sort_sequences
+from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
 
 
 class CausalBackend:
-    """Sum of log p(token | tokens before it) over a sentence's scored tokens."""
+    """Sum of log p(token | tokens before it) over a sentence's scored tokens.
+
+    The fastest strategy that agrees with naive scoring is chosen when the backend is made;
+    ``fallbacks`` says why the faster ones were passed over.
+    """
 
     def __init__(self, forward: Forward, encoder: Encoder, budget: int) -> None:
         self.forward = forward
         self.encoder = encoder
-        self.strategy = "padded"
-        self.fallbacks: list[str] = []
+        candidates = _candidates(forward.model.config.get_text_config(), encoder.context)
+        self.strategy, self._run, self.fallbacks = choose(candidates, forward, encoder, budget)
 
     def encode(self, sentences: Sequence[str]) -> list[list[int]]:
         return self.encoder.encode(sentences)
@@ -28,4 +37,50 @@ class CausalBackend:
 
     def log_probs(self, encoded: Sequence[Sequence[int]], budget: int, meter: Meter) -> FloatArray:
         sequences, index = sort_sequences(encoded)
-        return padded(self.forward, sequences, budget, meter)[index]
+        return self._run(self.forward, sequences, budget, meter)[index]
+
+
+def _candidates(config: Any, context: int | None) -> list[tuple[str, Strategy]]:
+    """Strategies by falling speed. Some attend by column within a row, so rows get a second try
+    no longer than the model's attention window or context."""
+    window = _attention_window(config)
+    narrow = min(ROW_NODES, window or ROW_NODES, context or ROW_NODES)
+    tries = [
+        ("trie", partial(_trie_or_padded, row_nodes=nodes, window=window))
+        for nodes in dict.fromkeys([ROW_NODES, narrow])
+    ]
+    return [*tries, ("kv", key_value), ("padded", padded), ("naive", naive)]
+
+
+def _attention_window(config: Any) -> int | None:
+    """The shortest distance over which some layer attends, where one is limited."""
+    sizes = [
+        size
+        for key, size in config.to_dict().items()
+        if ("window" in key or "chunk_size" in key) and type(size) is int and size > 0
+    ]
+    return min(sizes, default=None)
+
+
+def _trie_or_padded(
+    forward: Forward,
+    sequences: Sequences,
+    budget: int,
+    meter: Meter,
+    *,
+    row_nodes: int,
+    window: int | None,
+) -> FloatArray:
+    """The trie; sequences too long for half a row, or for the attention window, are padded."""
+    row_nodes = min(row_nodes, budget)
+    packed = sequences.lengths <= min(row_nodes // 2, window or row_nodes)
+    scores = np.empty(len(sequences))
+    if packed.any():
+        scores[packed] = trie(
+            forward, sequences.take(packed), budget, meter.part(packed.mean()), row_nodes
+        )
+    if not packed.all():
+        scores[~packed] = padded(
+            forward, sequences.take(~packed), budget, meter.part((~packed).mean())
+        )
+    return scores

@@ -82,6 +82,13 @@ class Encoder:
                 f"{self._vocabulary}; save the tokenizer that the model was trained with"
             )
 
+    def sample_tokens(self) -> tuple[list[int], list[int]]:
+        """What the tokenizer puts before a sentence, and the ids of ordinary tokens."""
+        special = set(self.tokenizer.all_special_ids)
+        lead = [token for token in self.call([_PROBE])["input_ids"][0][:1] if token in special]
+        known = min(self._vocabulary, len(self.tokenizer))
+        return lead, [token for token in range(known) if token not in special] or [0]
+
     def _find_appended_eos(self) -> int | None:
         eos = self.tokenizer.eos_token_id
         whole = self.call([_PROBE])["input_ids"][0]

@@ -29,10 +29,14 @@ class Forward:
     def __init__(self, model: Any) -> None:
         self.model = model
         self.device = torch.device(model.device)
-        self.dtype: torch.dtype = model.dtype
         self._positions: Tensor | None = None
         if model.base_model is not model:
             model.base_model.register_forward_hook(self._keep_read)
+
+    @property
+    def dtype(self) -> torch.dtype:
+        dtype: torch.dtype = self.model.dtype
+        return dtype
 
     def tensor(self, array: npt.NDArray[Any]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device, non_blocking=True)

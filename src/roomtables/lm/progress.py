@@ -28,6 +28,10 @@ class Meter:
         self._window_tokens = tokens
         self._share = 0.0
 
+    def part(self, share: float) -> Meter:
+        """A meter for ``share`` of the window's work."""
+        return _Part(self, share)
+
     def advance(self, share: float, tokens_run: int) -> None:
         """``share`` of the window's work is done, at the cost of ``tokens_run`` in the model."""
         self._share = min(1.0, self._share + share)
@@ -53,3 +57,15 @@ class Meter:
     def close(self) -> None:
         if self._bar is not None:
             self._bar.close()
+
+
+class _Part(Meter):
+    """Forwards to a whole meter what is done of a share of its window."""
+
+    def __init__(self, whole: Meter, share: float) -> None:
+        super().__init__()
+        self._whole = whole
+        self._part_share = share
+
+    def advance(self, share: float, tokens_run: int) -> None:
+        self._whole.advance(share * self._part_share, tokens_run)

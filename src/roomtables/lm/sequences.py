@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,3 +47,50 @@ def sort_sequences(encoded: Sequence[Sequence[int]]) -> tuple[Sequences, IntArra
     index = np.empty(len(order), np.int64)
     index[order] = np.cumsum(first) - 1
     return Sequences(ordered[first], lengths[order][first]), index
+
+
+@dataclass(frozen=True)
+class Group:
+    """Sequences ``start`` to ``stop``, whose first ``prefix`` tokens are the same."""
+
+    start: int
+    stop: int
+    prefix: int
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.start, self.stop)
+
+
+# What one more pair of forward passes costs, in tokens: merging groups saves it.
+_CALL_TOKENS = 8
+
+
+def group_by_prefix(sequences: Sequences, budget: int) -> Iterator[Group]:
+    """Consecutive sequences with a common prefix, merged while that runs fewer tokens.
+
+    A prefix is shorter than its sequences by at least one token. A group's continuations,
+    prefix included, fill at most ``budget`` tokens.
+    """
+    lengths = sequences.lengths.tolist()
+    common = _common_prefixes(sequences)
+    start, prefix, longest = 0, lengths[0] - 1, lengths[0]
+    for index in range(1, len(lengths)):
+        size = index - start
+        merged = min(prefix, common[index], lengths[index] - 1)
+        extra = (prefix - merged) * (size - 1) + lengths[index] - merged
+        longer = max(longest, lengths[index])
+        if extra <= lengths[index] + _CALL_TOKENS and (size + 1) * longer <= budget:
+            prefix, longest = merged, longer
+            continue
+        yield Group(start, index, prefix)
+        start, prefix, longest = index, lengths[index] - 1, lengths[index]
+    yield Group(start, len(lengths), prefix)
+
+
+def _common_prefixes(sequences: Sequences) -> list[int]:
+    """Length of the prefix that each sequence shares with the one before it."""
+    same = np.logical_and.accumulate(sequences.matrix[1:] == sequences.matrix[:-1], axis=1)
+    within = np.minimum(same.sum(axis=1), sequences.lengths[1:])
+    common: list[int] = [0, *within.tolist()]
+    return common

@@ -1,0 +1,132 @@
+"""Trust no fast path: a strategy is used only after it has agreed with naive scoring.
+
+Several architectures ignore a packed mask or a cache silently, so the check scores enough token
+sequences to fill more than a row, cuts included, and compares a sample with one plain forward each.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+
+from roomtables.errors import ModelError
+from roomtables.lm.encoding import Encoder
+from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.progress import Meter
+from roomtables.lm.sequences import Sequences, sort_sequences
+from roomtables.lm.strategies import ROW_NODES, Strategy
+
+_log = logging.getLogger(__name__)
+
+TOLERANCE_NATS = 1e-3
+_SAMPLE = 8
+_LARGEST_IN_FLOAT32 = 1_500_000_000  # weights; beyond, the check runs in the model's own dtype
+
+
+def choose(
+    candidates: Sequence[tuple[str, Strategy]], forward: Forward, encoder: Encoder, budget: int
+) -> tuple[str, Strategy, list[str]]:
+    """The first candidate that agrees with naive scoring, and why those before it do not.
+
+    Raises
+    ------
+    ModelError
+        The model cannot even be scored naively.
+    """
+    sequences = sample_sequences(encoder)
+    picked = np.unique(np.linspace(0, len(sequences) - 1, _SAMPLE).astype(int))
+    fallbacks: list[str] = []
+    with _float32(forward):
+        expected = _naive(forward, sequences, picked, encoder.name)
+        for name, strategy in candidates:
+            why = _disagreement(strategy, forward, sequences, budget, picked, expected)
+            if why is None:
+                return name, strategy, fallbacks
+            fallbacks.append(f"{name}: {why}")
+            _log.warning("%s: strategy %s is not used: %s", encoder.name, name, why)
+    raise ModelError(f"{encoder.name} gives other scores each time; use another --model")
+
+
+def sample_sequences(encoder: Encoder) -> Sequences:
+    """Families of token sequences, like prefixes with many endings, that fill more than a row.
+
+    Tokens are drawn at random, always the same ones, so that the check suits any tokenizer.
+    """
+    generator = np.random.default_rng(0)
+    lead, ordinary = encoder.sample_tokens()
+    longest = min(24, encoder.context or 24)
+    drawn = lambda size: generator.choice(ordinary, size).tolist()  # noqa: E731
+    sequences, nodes = [], 0
+    while nodes < 1.3 * ROW_NODES:
+        prefix = lead + drawn(int(generator.integers(1, max(2, longest - 6))))
+        for _ in range(8):
+            ending = drawn(int(generator.integers(1, 7)))
+            sequences.append((prefix + ending)[:longest])
+            nodes += len(ending) - 1
+        nodes += len(prefix)
+    return sort_sequences([tokens for tokens in sequences if len(tokens) > 1])[0]
+
+
+def _naive(forward: Forward, sequences: Sequences, picked: np.ndarray, name: str) -> FloatArray:
+    try:
+        scores = np.array([forward.sequence(sequences.row(row)).sum() for row in picked])
+    except Exception as error:
+        raise ModelError(
+            f"{name} cannot score a plain sentence ({_one_line(error)}); use another --model"
+        ) from error
+    if not np.isfinite(scores).all():
+        raise ModelError(
+            f"{name} returns log probabilities that are not finite; its weights are damaged, "
+            "or need --dtype float32"
+        )
+    return scores
+
+
+def _disagreement(
+    strategy: Strategy,
+    forward: Forward,
+    sequences: Sequences,
+    budget: int,
+    picked: np.ndarray,
+    expected: FloatArray,
+) -> str | None:
+    try:
+        meter = Meter()
+        meter.begin(len(sequences), int(sequences.lengths.sum()))
+        scores = strategy(forward, sequences, budget, meter)[picked]
+    except torch.cuda.OutOfMemoryError:
+        raise
+    except Exception as error:  # whatever an architecture does with inputs it does not expect
+        return _one_line(error)
+    slack = 2 * torch.finfo(forward.dtype).eps * np.abs(expected)
+    apart = np.abs(scores - expected)
+    if (apart <= TOLERANCE_NATS + slack).all():
+        return None
+    return f"{np.nanmax(apart):.2g} nats from naive scoring"
+
+
+@contextlib.contextmanager
+def _float32(forward: Forward) -> Iterator[None]:
+    """Check half-precision models in float32, which no rounding blurs; back without any loss."""
+    model = forward.model
+    tensors = [*model.parameters(), *model.buffers()]
+    half = {torch.float16, torch.bfloat16}
+    cast = [(tensor, tensor.dtype) for tensor in tensors if tensor.dtype in half]
+    if sum(tensor.numel() for tensor, _ in cast) > _LARGEST_IN_FLOAT32:
+        cast = []
+    try:
+        for tensor, _ in cast:
+            tensor.data = tensor.data.float()
+        yield
+    finally:
+        for tensor, dtype in cast:
+            tensor.data = tensor.data.to(dtype)
+
+
+def _one_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {lines[0][:160] if lines else ''}"
