@@ -1,0 +1,5 @@
+"""Scene graphs and room lists, in and out: one module per format."""
+
+from roomtables.scenes.reader import read_rooms, read_scene, read_scenes
+
+__all__ = ["read_rooms", "read_scene", "read_scenes"]

@@ -1,0 +1,182 @@
+"""Spark-DSG scene graphs as JSON, of every generation: nodes, layers, parents, label spaces.
+
+A plain reader, so that a graph needs no extra package. Layers decide which end of an edge is the
+parent, not the direction in which it was written; that way parents cannot run in a circle.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from roomtables.errors import InputError
+from roomtables.scenes.dsg_values import symbol
+
+OBJECT_TYPES = frozenset({"ObjectNodeAttributes", "KhronosObjectAttributes"})
+_DEFAULT_LAYERS = {"OBJECTS": 2, "ROOMS": 4}
+
+
+@dataclass(frozen=True, slots=True)
+class Graph:
+    """A decoded graph: nodes by id, and each node's parents in higher layers."""
+
+    source: str
+    nodes: dict[int, dict[str, Any]]
+    parents: dict[int, list[int]]
+    objects: list[int]
+    rooms: list[int]
+    label_spaces: dict[str, dict[int, str]]
+    room_layer: int
+    object_layer: int
+
+    def attributes(self, node: int) -> dict[str, Any]:
+        """What the graph says about a node."""
+        found: dict[str, Any] = self.nodes[node]["attributes"]
+        return found
+
+
+def parse_graph(document: Mapping[str, Any], source: str) -> Graph:
+    """A graph from decoded JSON.
+
+    Raises
+    ------
+    InputError
+        A node or edge is malformed, an id does not fit 64 bits or occurs twice, or there is no
+        room to label.
+    """
+    layers = _layers(document)
+    nodes = _nodes(document, source)
+    kinds = {key: node["attributes"].get("type") for key, node in nodes.items()}
+    rooms = [key for key, node in nodes.items() if node["layer"] == layers["ROOMS"]]
+    objects = [
+        key
+        for key, node in nodes.items()
+        if node["layer"] == layers["OBJECTS"]
+        and (kinds[key] in OBJECT_TYPES or (kinds[key] is None and symbol(key)[0] in "Oo"))
+    ]
+    if not rooms:
+        raise InputError(
+            f"{source}: no node in the ROOMS layer, so there is nothing to label; let Hydra find "
+            "rooms (its backend's `rooms` update functor) and save the graph again"
+        )
+    return Graph(
+        source,
+        nodes,
+        _parents(document, nodes, source),
+        sorted(objects),
+        sorted(rooms),
+        _label_spaces(document, source),
+        layers["ROOMS"],
+        layers["OBJECTS"],
+    )
+
+
+def _layers(document: Mapping[str, Any]) -> dict[str, int]:
+    """The numbers of the layers, as the graph names them."""
+    layers = dict(_DEFAULT_LAYERS)
+    names = document.get("layer_names")
+    for name in layers:
+        match names.get(name) if isinstance(names, dict) else None:
+            case int() as number:
+                layers[name] = number
+            case {"layer": int() as number}:
+                layers[name] = number
+    return layers
+
+
+def _nodes(document: Mapping[str, Any], source: str) -> dict[int, dict[str, Any]]:
+    values = document.get("nodes")
+    if not isinstance(values, list):
+        raise InputError(f"{source}: `nodes` must be a list; is this a Spark-DSG scene graph?")
+    nodes: dict[int, dict[str, Any]] = {}
+    for index, node in enumerate(values):
+        match node:
+            case {"id": int() as key, "layer": int(), "attributes": dict()} if key is not True:
+                pass
+            case _:
+                raise InputError(f"{source}, nodes[{index}]: expected id, layer and attributes")
+        if not 0 <= key < 2**64:
+            raise InputError(f"{source}, nodes[{index}]: id {key} does not fit 64 bits")
+        if key in nodes:
+            raise InputError(f"{source}, nodes[{index}]: id {key} ({symbol(key)}) occurs twice")
+        nodes[key] = node
+    return nodes
+
+
+def _parents(
+    document: Mapping[str, Any], nodes: Mapping[int, dict[str, Any]], source: str
+) -> dict[int, list[int]]:
+    edges = document.get("edges", [])
+    if not isinstance(edges, list):
+        raise InputError(f"{source}: `edges` must be a list")
+    parents: dict[int, list[int]] = {}
+    for index, edge in enumerate(edges):
+        match edge:
+            case {"source": int() as a, "target": int() as b}:
+                pass
+            case _:
+                raise InputError(f"{source}, edges[{index}]: expected source and target")
+        if a not in nodes or b not in nodes:
+            missing = a if a not in nodes else b
+            raise InputError(f"{source}, edges[{index}]: no node has the id {missing}")
+        low, high = sorted((a, b), key=lambda key: int(nodes[key]["layer"]))
+        if nodes[low]["layer"] < nodes[high]["layer"] and high not in parents.get(low, ()):
+            parents.setdefault(low, []).append(high)
+    return parents
+
+
+def _label_spaces(document: Mapping[str, Any], source: str) -> dict[str, dict[int, str]]:
+    metadata = document.get("metadata")
+    spaces = metadata.get("labelspaces") if isinstance(metadata, dict) else None
+    if not isinstance(spaces, dict):
+        return {}
+    found = {}
+    for key, pairs in spaces.items():
+        try:
+            items = pairs.items() if isinstance(pairs, dict) else pairs
+            found[key] = {int(label): str(name) for label, name in items}
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"{source}: label space {key} is not a list of [id, name] pairs"
+            ) from error
+    return {key: names for key, names in found.items() if names}
+
+
+def rooms_of(
+    children: Iterable[int],
+    parents: Callable[[int], Iterable[int]],
+    is_room: Callable[[int], bool],
+    distance: Callable[[int, int], float],
+) -> dict[int, int | None]:
+    """The room that each child belongs to, found through its parents; None where there is none.
+
+    With several parents, the room that most of them lead to; of equals the one whose parent is
+    nearest to the child, then the one with the least id.
+    """
+    reached: dict[int, frozenset[int]] = {}
+
+    def climb(node: int) -> frozenset[int]:
+        if node not in reached:
+            reached[node] = frozenset()  # ends the climb, should parents run in a circle
+            found = {node} if is_room(node) else set().union(*map(climb, parents(node)))
+            reached[node] = frozenset(found)
+        return reached[node]
+
+    return {child: _vote(child, parents(child), climb, distance) for child in children}
+
+
+def _vote(
+    child: int,
+    parents: Iterable[int],
+    climb: Callable[[int], frozenset[int]],
+    distance: Callable[[int, int], float],
+) -> int | None:
+    ways = [(room, parent) for parent in parents for room in climb(parent)]
+    votes = Counter(room for room, _ in ways)
+    if len(votes) <= 1:
+        return next(iter(votes), None)
+    best = max(votes.values())
+    near = [(distance(child, parent), room) for room, parent in ways if votes[room] == best]
+    return min(near)[1]

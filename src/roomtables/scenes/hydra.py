@@ -1,0 +1,95 @@
+"""Hydra's label-space YAML files: the names of a graph's label ids, and what becomes of them here.
+
+Reading YAML needs the extra ``scene-graphs``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from roomtables.errors import InputError, MissingExtraError
+from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel, normalise
+
+_NOT_OBJECTS = frozenset({"", "unknown", "void", "unlabeled", "unlabelled", "misc"})
+
+
+@dataclass(frozen=True, slots=True)
+class HydraLabels:
+    """A Hydra label space: every id's name, and the ids of objects, where the file lists them."""
+
+    names: dict[int, str]
+    objects: tuple[int, ...]
+
+
+def read_hydra_labels(path: Path) -> HydraLabels:
+    """A Hydra label space from its YAML file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not YAML, or is not a label space.
+    MissingExtraError
+        PyYAML is not installed.
+    """
+    document = _load_yaml(path)
+    entries = document.get("label_names") if isinstance(document, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise InputError(
+            f"{path}: no `label_names`; give one of Hydra's config/label_spaces/*.yaml"
+        )
+    names: dict[int, str] = {}
+    for index, entry in enumerate(entries):
+        match entry:
+            case {"label": int() as label, "name": str() | int() | float() | bool() | None as name}:
+                names[label] = "" if name is None else str(name)
+            case _:
+                raise InputError(f"{path}, label_names[{index}]: expected label and name")
+    return HydraLabels(names, _object_ids(document, names, path))
+
+
+def _object_ids(document: dict[str, Any], names: dict[int, str], path: Path) -> tuple[int, ...]:
+    listed = document.get("object_labels") or []
+    if not isinstance(listed, list) or not all(isinstance(label, int) for label in listed):
+        raise InputError(f"{path}: `object_labels` must be a list of label ids")
+    unknown = [label for label in listed if label not in names]
+    if unknown:
+        raise InputError(f"{path}: `object_labels` lists {unknown[0]}, which has no name")
+    return tuple(listed)
+
+
+def _load_yaml(path: Path) -> Any:
+    try:
+        import yaml
+    except ImportError as error:
+        raise MissingExtraError("reading a Hydra label space", "scene-graphs") from error
+    try:
+        with path.open(encoding="utf-8") as file:
+            return yaml.safe_load(file)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not a YAML file ({reason})") from error
+
+
+def load_label_names(path: Path) -> dict[int, str]:
+    """The names of a Hydra label space, by label id."""
+    return read_hydra_labels(path).names
+
+
+def to_label_space(labels: HydraLabels, name: str, rooms: Sequence[RoomLabel]) -> LabelSpace:
+    """A label space of the objects that a Hydra label space names, with the rooms given.
+
+    Names are normalised, and labels that then read the same become one.
+
+    Raises
+    ------
+    LabelSpaceError
+        No name is left.
+    """
+    kept = {normalise(labels.names[label]) for label in labels.objects or labels.names}
+    objects = tuple(ObjectLabel.named(label) for label in sorted(kept - _NOT_OBJECTS))
+    return LabelSpace(name, objects, tuple(rooms))

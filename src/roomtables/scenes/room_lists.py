@@ -1,0 +1,124 @@
+"""Room lists: JSON lines, CSV with one object a row, and JSON of rooms that hold objects."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from roomtables.csv_rows import read_csv
+from roomtables.errors import InputError
+from roomtables.rooms import Room, parse_room, parse_room_lines
+from roomtables.scenes.scene import Point, ReadOptions, Scene, SceneObject, SceneRoom
+
+
+def _scene_room(room: Room) -> SceneRoom:
+    objects = tuple(
+        SceneObject(f"{room.room_id}/{index}", name) for index, name in enumerate(room.objects)
+    )
+    return SceneRoom(room.room_id, objects, truth=room.truth)
+
+
+def room_lines_scene(lines: Iterable[str | bytes], source: str) -> Scene:
+    """A scene of JSON lines, read lazily; errors name ``source`` and line."""
+    return Scene(source, (_scene_room(room) for room in parse_room_lines(lines, source)))
+
+
+def read_room_lines(path: Path, options: ReadOptions) -> Scene:
+    """A JSON lines file of rooms, one scene, lazily."""
+
+    def rooms() -> Iterator[SceneRoom]:
+        with path.open("rb") as lines:
+            yield from room_lines_scene(lines, str(path)).rooms
+
+    return Scene(path.stem, rooms())
+
+
+def read_csv_rooms(path: Path, options: ReadOptions) -> Scene:
+    """Rooms from a CSV with columns ``room_id``, ``object`` and optionally ``room``.
+
+    One row per object; rows of a room need not be neighbours, and an empty ``object`` makes a room
+    without objects.
+
+    Raises
+    ------
+    InputError
+        A column is missing, a row is malformed, or two rows give a room different true labels.
+    """
+    objects: dict[str, list[str]] = {}
+    truths: dict[str, str] = {}
+    for where, row in read_csv(path, required=("room_id", "object")):
+        room_id, name, truth = (row.get(key, "").strip() for key in ("room_id", "object", "room"))
+        if not room_id:
+            raise InputError(f"{where}: empty `room_id`")
+        names = objects.setdefault(room_id, [])
+        names += [name] if name else []
+        if truth and truths.setdefault(room_id, truth) != truth:
+            before = truths[room_id]
+            raise InputError(f"{where}: room {room_id} is `{truth}` here and `{before}` above")
+    lines = (
+        {"room_id": k, "room": truths.get(k), "objects": names} for k, names in objects.items()
+    )
+    return Scene(path.stem, [_scene_room(parse_room(line, str(path))) for line in lines])
+
+
+def nested_scene(document: dict[str, Any], path: Path) -> Scene:
+    """A scene from nested JSON: ``{"rooms": [{"id", "name"?, "room"?, "objects": […]}]}``.
+
+    ``objects`` holds ``{"id", "name"}`` entries or plain labels. ``room`` is the truth; ``name`` is
+    what somebody called the room, and is not.
+    """
+    rooms = document["rooms"]
+    if not isinstance(rooms, list):
+        raise InputError(f"{path}: `rooms` must be a list")
+    loose = _nested_objects(document.get("unassigned", []), f"{path}, unassigned")
+    found = [_nested_room(value, f"{path}, rooms[{i}]") for i, value in enumerate(rooms)]
+    return Scene(path.stem, found, loose)
+
+
+def _nested_room(value: object, where: str) -> SceneRoom:
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: expected an object with id and objects")
+    room_id = value.get("id", value.get("room_id"))
+    objects = _nested_objects(value.get("objects"), where)
+    line = {"room_id": room_id, "room": value.get("room"), "objects": [o.name for o in objects]}
+    room = _scene_room(parse_room(line, where))
+    name = value.get("name")
+    return replace(room, objects=objects, name=name if isinstance(name, str) else "")
+
+
+def _nested_objects(values: object, where: str) -> tuple[SceneObject, ...]:
+    if not isinstance(values, list):
+        raise InputError(f"{where}: `objects` must be a list")
+    return tuple(_nested_object(v, i, f"{where}, objects[{i}]") for i, v in enumerate(values))
+
+
+def _nested_object(value: object, index: int, where: str) -> SceneObject:
+    if isinstance(value, str):
+        return SceneObject(str(index), value)
+    if not isinstance(value, dict) or not isinstance(value.get("name"), str):
+        raise InputError(f"{where}: expected an object with id and name")
+    return SceneObject(str(value.get("id", index)), value["name"], _position(value))
+
+
+def _position(value: dict[str, Any]) -> Point | None:
+    match value.get("position"):
+        case [int() | float() as x, int() | float() as y, int() | float() as z]:
+            return (float(x), float(y), float(z))
+        case _:
+            return None
+
+
+def write_nested(scenes: Iterable[Scene]) -> Iterator[str]:
+    """The scenes as one nested JSON document, piece by piece, so that none of it is held."""
+    yield '{"rooms": ['
+    unassigned: list[dict[str, Any]] = []
+    separator = "\n"
+    for scene in scenes:
+        for room in scene.rooms:
+            yield separator + json.dumps(room.as_json(), ensure_ascii=False)
+            separator = ",\n"
+        unassigned += [thing.as_json() for thing in scene.unassigned]
+    yield f'\n], "unassigned": {json.dumps(unassigned, ensure_ascii=False)}}}\n'
