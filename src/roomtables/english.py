@@ -36,7 +36,6 @@ _UNINFLECTED = frozenset(
         "shorts",
         "silverware",
         "soap",
-        "stairs",
         "trousers",
         "water",
         "wine",

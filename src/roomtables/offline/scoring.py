@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -59,6 +60,11 @@ def score_missing(
     with bar:
         try:
             for sentence, score in scored(scorer, sentences):
+                if not math.isfinite(score.log_prob):
+                    raise ModelError(
+                        f"{scorer.scorer_id} gives {score.log_prob} for {sentence!r}; "
+                        "use another `--dtype` or `--model`"
+                    )
                 kept.append(sentence)
                 scores.append(score)
                 bar.update()

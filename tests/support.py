@@ -1,0 +1,56 @@
+"""Helpers that several tests share."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from roomtables.labels import LabelSpace, RoomLabel
+from roomtables.scorer import SentenceScore
+
+
+class HashScorer:
+    """A deterministic scorer without a model: a sentence's hash is its score. Counts its calls."""
+
+    strategy = "hash"
+
+    def __init__(self, name: str = "hash@1") -> None:
+        self.scorer_id = name
+        self.asked: list[str] = []
+
+    def describe(self) -> Mapping[str, str]:
+        return {"model": self.scorer_id, "strategy": self.strategy}
+
+    def score(self, sentences: Sequence[str]) -> list[SentenceScore]:
+        self.asked += sentences
+        return [self.score_of(sentence) for sentence in sentences]
+
+    def score_stream(self, sentences: Iterable[str]) -> Iterator[SentenceScore]:
+        for sentence in sentences:
+            self.asked.append(sentence)
+            yield self.score_of(sentence)
+
+    def score_of(self, sentence: str) -> SentenceScore:
+        digest = hashlib.sha256(f"{self.scorer_id} {sentence}".encode()).digest()
+        nats = int.from_bytes(digest[:4]) / 2**32 * 8
+        return SentenceScore(-20.0 - nats, len(sentence.split()))
+
+
+def small_space(name: str = "small") -> LabelSpace:
+    """Four objects and four rooms, one of them never predicted."""
+    space = LabelSpace.named(
+        name, ["bed", "sink", "stove", "toilet"], ["bathroom", "bedroom", "kitchen"]
+    )
+    return LabelSpace(
+        name, space.objects, (*space.rooms, RoomLabel("yard", "a", (), predicted=False))
+    )
+
+
+def write_space(folder: Path, space: LabelSpace) -> Path:
+    """The label space's files in ``folder/<name>``."""
+    target = folder / space.name
+    target.mkdir(parents=True, exist_ok=True)
+    for name, text in space.csv_files().items():
+        (target / name).write_text(text, encoding="utf-8")
+    return target

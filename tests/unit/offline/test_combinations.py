@@ -1,0 +1,72 @@
+from itertools import combinations
+from math import comb
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomtables.errors import ConfigError
+from roomtables.offline.combinations import (
+    all_combinations,
+    check_key_size,
+    combinations_of_rooms,
+    count_all,
+    query_sentences,
+)
+from roomtables.sentences import Template
+from roomtables.twin import pack_keys, unpack_ranks
+from support import small_space
+
+SPACE = small_space()
+BY_RANK = ["toilet", "bed", "stove", "sink"]
+RANKS = {label: rank for rank, label in enumerate(BY_RANK, start=1)}
+
+
+def test_mpcat40_has_7175():
+    assert count_all(35, 3) == 7175 == 35 + comb(35, 2) + comb(35, 3)
+
+
+@given(st.integers(1, 9), st.integers(1, 4))
+def test_all_combinations_are_those_of_itertools(objects, k):
+    expected = {
+        (*chosen, *(0,) * (k - size))
+        for size in range(1, k + 1)
+        for chosen in combinations(range(1, objects + 1), size)
+    }
+    found = [tuple(row) for row in all_combinations(objects, k).tolist()]
+    assert set(found) == expected
+    assert len(found) == len(expected) == count_all(objects, k)
+
+
+@given(st.integers(1, 8).flatmap(lambda k: st.tuples(st.just(k), st.data())))
+def test_keys_are_reversible_and_order_as_ranks(drawn):
+    k, data = drawn
+    biggest = 2 ** (63 // k) - 1
+    row = st.lists(st.integers(0, min(biggest, 2**31 - 1)), min_size=k, max_size=k)
+    ranks = np.array(data.draw(st.lists(row, min_size=1, max_size=20)), np.int64)
+    keys = pack_keys(ranks, k)
+    np.testing.assert_array_equal(unpack_ranks(keys, k), ranks)
+    assert [ranks.tolist()[i] for i in np.argsort(keys, kind="stable")] == sorted(ranks.tolist())
+
+
+def test_what_rooms_need():
+    rooms = [["sink", "Toilets", "ghost"], ["bed", "sink", "stove", "toilet"], [], ["ghost"]]
+    found = combinations_of_rooms(rooms, SPACE, RANKS, 3)
+    assert found.tolist() == [[1, 2, 3], [1, 4, 0]]
+
+
+def test_sentences_follow_the_ranks():
+    (objects, sentences), *_ = query_sentences(np.array([[1, 4, 0]]), BY_RANK, SPACE, Template())
+    assert objects == ["toilet", "sink"]
+    assert sentences == [
+        "A room containing toilets and sinks is called a bathroom.",
+        "A room containing toilets and sinks is called a bedroom.",
+        "A room containing toilets and sinks is called a kitchen.",
+    ]
+
+
+def test_too_many_objects_for_a_key():
+    check_key_size(127, 8)
+    with pytest.raises(ConfigError, match="smaller -k"):
+        check_key_size(128, 8)

@@ -1,0 +1,54 @@
+import pytest
+
+from roomtables.config import BuildConfig, pipeline_folder
+from roomtables.errors import ConfigError
+
+
+def test_the_shipped_file_is_the_defaults():
+    config = BuildConfig.load()
+    assert (config.labels, config.model, config.k) == ("mpcat40", "household-lm", 3)
+    assert (config.reduction, config.source) == ("sum", "proxy")
+    assert config.evidence_power == 3
+    assert config.stages[0] == "objects"
+
+
+def test_every_sql_stage_has_its_file():
+    stages = BuildConfig.load().stages
+    in_python = {"objects", "rooms", "sentence_scores", "lookup"}
+    for stage in set(stages) - in_python:
+        assert (pipeline_folder() / f"{stage}.sql").is_file()
+
+
+def test_options_win_over_the_file_and_the_file_over_defaults(tmp_path):
+    path = tmp_path / "build.toml"
+    path.write_text("k = 2\nsmoothing = 1\n")
+    config = BuildConfig.load(path, k=4, model=None)
+    assert (config.k, config.smoothing, config.model) == (4, 1.0, "household-lm")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("k = 0", "k must be"),
+        ("k = true", "`k` must be int"),
+        ('k = "3"', "`k` must be int"),
+        ("colour = 1", "unknown key `colour`"),
+        ("reduction = 'median'", "reduction must be one of sum, mean"),
+        ("smoothing = -1", "smoothing"),
+        ("smoothing = nan", "smoothing"),
+        ("template = 'x'", "template"),
+        ("k = ", "not valid TOML"),
+        ("evidence_power = -1", "evidence power"),
+        ("prior_weight = inf", "prior weight"),
+    ],
+)
+def test_wrong_values_are_named(tmp_path, text, said):
+    path = tmp_path / "build.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        BuildConfig.load(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"cannot read .*absent\.toml"):
+        BuildConfig.load(tmp_path / "absent.toml")
