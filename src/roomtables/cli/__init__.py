@@ -6,6 +6,8 @@ import click
 
 from roomtables.cli.common import Group
 from roomtables.cli.labelling import classify, evaluate_command
+from roomtables.cli.scenes import label, rooms, show
+from roomtables.cli.serve import serve
 from roomtables.cli.spaces import labels
 from roomtables.cli.tables import build_command, sql_command, status
 
@@ -25,5 +27,8 @@ def main() -> None:
     """
 
 
-for command in (build_command, classify, evaluate_command, labels, sql_command, status):
+for command in (
+    build_command, classify, evaluate_command, label, labels, rooms, serve, show, sql_command,
+    status,
+):
     main.add_command(command)

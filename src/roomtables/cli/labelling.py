@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -22,10 +21,12 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.scenes import Warnings, house_labels, labelspace_option, mapping_option
 from roomtables.evaluation import Evaluation, evaluate
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
-from roomtables.rooms import Room, parse_room_lines, read_room_lines
+from roomtables.rooms import Room
+from roomtables.scenes import read_rooms
 
 _CHUNK = 1024  # rooms whose misses share one pass of the model
 _COLUMNS = (
@@ -35,7 +36,11 @@ _COLUMNS = (
 
 @click.command()
 @click.argument("objects", nargs=-1)
-@click.option("--input", "input_", help="A file of rooms; `-` reads JSON lines from stdin.")
+@click.option(
+    "--input", "input_", help="A scene or room list; `-` reads JSON lines from stdin."
+)
+@labelspace_option
+@mapping_option
 @click.option("--top", type=click.IntRange(min=1), help="Show the N most probable rooms.")
 @tables_option
 @labels_option
@@ -45,6 +50,8 @@ _COLUMNS = (
 def classify(
     objects: tuple[str, ...],
     input_: str | None,
+    labelspace: Path | None,
+    category_mapping: Path | None,
     top: int | None,
     tables: Path,
     labels: str,
@@ -62,7 +69,15 @@ def classify(
     if bool(objects) == bool(input_):
         raise click.UsageError("give either OBJECTs or --input FILE")
     opened = RoomTables.open(tables, labels, **decision)
-    rooms = _read(input_) if input_ else iter([Room("", objects)])
+    rooms = iter([Room("", objects)])
+    if input_:
+        rooms = read_rooms(
+            input_,
+            labelspace=labelspace,
+            object_labels=house_labels(labels),
+            category_mapping=category_mapping,
+            warn=Warnings(),
+        )
     results = _classified(rooms, opened)
     if format_ == "jsonl":
         emit_lines((as_json_line(_record(*result, top)) for result in results), output)
@@ -78,12 +93,6 @@ def classify(
             best = record["probabilities"].items()
             record["top"] = [f"{room} {probability:.3f}" for room, probability in best]
     emit(render(records, format_, columns), output)
-
-
-def _read(input_: str) -> Iterator[Room]:
-    if input_ == "-":
-        return parse_room_lines(sys.stdin.buffer, "standard input")
-    return read_room_lines(Path(input_))
 
 
 def _classified(rooms: Iterable[Room], tables: RoomTables) -> Iterator[tuple[Room, Prediction]]:

@@ -1,4 +1,4 @@
-"""Commands about label spaces: list, show, from-rooms."""
+"""Commands about label spaces: list, show, import, from-rooms."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from roomtables.config import builtin_labels, load_labels
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace
 from roomtables.rooms import read_room_lines
+from roomtables.scenes.hydra import read_hydra_labels, to_label_space
 from roomtables.store import write_aside
 
 
@@ -66,6 +67,35 @@ def show(space: str, format_: str, output: Path | None) -> None:
     ]
     rows = [dict(zip(columns, row, strict=True)) for row in listed]
     emit(render(rows, format_, columns), output)
+
+
+@labels.command("import")
+@click.argument("yaml_file", metavar="YAML", type=click.Path(path_type=Path, dir_okay=False))
+@click.option(
+    "--rooms-of",
+    default="mpcat40",
+    show_default=True,
+    metavar="NAME|DIR",
+    help="The label space whose rooms to take; Hydra's file names none.",
+)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="The folder to write; its base name is the label space's name.",
+)
+def import_command(yaml_file: Path, rooms_of: str, output: Path) -> None:
+    """Make a label space of the objects that a Hydra label-space YAML names.
+
+    \b
+    Example:
+      roomtables labels import ade20k_mp3d_label_space.yaml -o ade20k
+    """
+    found = read_hydra_labels(yaml_file)
+    rooms, known = load_labels(rooms_of).rooms, load_labels("nyuclass").objects
+    space = to_label_space(found, output.resolve().name, rooms, known)
+    save_labels(space, output)
 
 
 @labels.command("from-rooms")

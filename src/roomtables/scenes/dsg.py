@@ -94,7 +94,7 @@ def graph_scene(graph: Graph, name: str, options: ReadOptions) -> Scene:
     for key, thing in things.items():
         held.setdefault(owner[key], []).append(thing)
     found = [_room(graph, room, tuple(held.get(room, ()))) for room in graph.rooms]
-    scene = Scene(name, found, tuple(held.get(None, ())))
+    scene = Scene(name, found, tuple(held.get(None, ())), local_ids=True)
     report_unassigned(scene, len(things), options.warn)
     return scene
 

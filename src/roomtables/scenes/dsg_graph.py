@@ -67,7 +67,7 @@ def parse_graph(document: Mapping[str, Any], source: str) -> Graph:
         _parents(document, nodes, source),
         sorted(objects),
         sorted(rooms),
-        _label_spaces(document, source),
+        label_spaces(document, source),
         layers["ROOMS"],
         layers["OBJECTS"],
     )
@@ -127,7 +127,14 @@ def _parents(
     return parents
 
 
-def _label_spaces(document: Mapping[str, Any], source: str) -> dict[str, dict[int, str]]:
+def label_spaces(document: Mapping[str, Any], source: str) -> dict[str, dict[int, str]]:
+    """The label spaces in a graph's metadata: by layer key, each label id's name.
+
+    Raises
+    ------
+    InputError
+        One is not a list of ``[id, name]`` pairs.
+    """
     metadata = document.get("metadata")
     spaces = metadata.get("labelspaces") if isinstance(metadata, dict) else None
     if not isinstance(spaces, dict):

@@ -21,20 +21,25 @@ class NamedRoom:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def room_label_ids(known: Mapping[int, str], labels: Iterable[str]) -> dict[str, int]:
-    """An id for each room label: the graph's own where it has one, else the next one free.
+def room_label_space(
+    known: Mapping[int, str], used: Iterable[str], labels: Iterable[str]
+) -> tuple[dict[str, int], list[list[Any]]]:
+    """An id for each room label, and the label space to write, as ``[id, name]`` pairs.
 
-    Ids start at 1; 0 stays unknown, as Hydra writes it for rooms that have no label.
+    A graph's own room label space keeps its ids and gains the ``used`` labels that it lacks; where
+    it has none, all ``labels`` get ids from 1, and 0 is unknown, as Hydra numbers unlabelled rooms.
     """
     ids: dict[str, int] = {}
     for number, name in known.items():
         for part in name.split(";"):
             ids.setdefault(part.strip(), number)
-    free = max(known, default=UNKNOWN_LABEL) + 1
-    for label in labels:
+    pairs: list[list[Any]] = [[number, name] for number, name in known.items()]
+    pairs = pairs or [[UNKNOWN_LABEL, "unknown"]]
+    for label in sorted({*used} if known else {*used, *labels}):
         if label not in ids:
-            ids[label], free = free, free + 1
-    return ids
+            ids[label] = max(number for number, _ in pairs) + 1
+            pairs.append([ids[label], label])
+    return ids, pairs
 
 
 def label_rooms(
@@ -42,19 +47,16 @@ def label_rooms(
 ) -> None:
     """Write names into the graph's JSON, in place; rooms without an answer keep what they have.
 
-    ``named`` goes by the rooms' symbols (``R0``), and ``labels`` are all the rooms that could have
-    been the answer: they become the graph's room label space where it has none; where it has one,
-    only the labels that it lacks and that are used are added to it.
+    ``named`` goes by the rooms' symbols (``R0``); ``labels`` are all the rooms that could have been
+    the answer.
     """
+    if not named:
+        return
     space = f"_l{graph.room_layer}p0"
     known = graph.label_spaces.get(space, {})
-    used = sorted({room.label for room in named.values()})
-    ids = room_label_ids(known, used if known else sorted({*labels, *used}))
-    if named:
-        spaces = _child(_child(document, "metadata"), "labelspaces")
-        added = [[number, label] for label, number in ids.items() if number not in known]
-        old = spaces.get(space) if known else [[UNKNOWN_LABEL, "unknown"]]
-        spaces[space] = [*_pairs(old), *added]
+    ids, pairs = room_label_space(known, {room.label for room in named.values()}, labels)
+    if len(pairs) > len(known):
+        _child(_child(document, "metadata"), "labelspaces")[space] = pairs
     for key in graph.rooms:
         room = named.get(symbol(key))
         if room is not None:
@@ -63,12 +65,6 @@ def label_rooms(
             attributes["semantic_label"] = ids[room.label]
             attributes["semantic_class_probabilities"] = dict(room.probabilities)
             _child(attributes, "metadata")["roomtables"] = dict(room.provenance)
-
-
-def _pairs(space: Any) -> list[Any]:
-    if isinstance(space, dict):
-        return [[int(label), name] for label, name in space.items()]
-    return list(space)
 
 
 def _child(value: dict[str, Any], key: str) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def read_hovsg(folder: Path, options: ReadOptions) -> Scene:
             )
         )
     unassigned = tuple(thing for key, thing in objects.items() if key not in held)
-    scene = Scene(folder.name, rooms, unassigned)
+    scene = Scene(folder.name, rooms, unassigned, local_ids=True)
     report_unassigned(scene, len(objects), options.warn)
     return scene
 

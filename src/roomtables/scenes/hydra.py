@@ -6,7 +6,7 @@ Reading YAML needs the extra ``scene-graphs``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,16 +80,33 @@ def load_label_names(path: Path) -> dict[int, str]:
     return read_hydra_labels(path).names
 
 
-def to_label_space(labels: HydraLabels, name: str, rooms: Sequence[RoomLabel]) -> LabelSpace:
+def to_label_space(
+    labels: HydraLabels,
+    name: str,
+    rooms: Sequence[RoomLabel],
+    known: Sequence[ObjectLabel] = (),
+) -> LabelSpace:
     """A label space of the objects that a Hydra label space names, with the rooms given.
 
-    Names are normalised, and labels that then read the same become one.
+    Names are normalised, labels that then read the same become one, and an object that ``known``
+    lists, under its label or a synonym, takes over those names of it that are still free.
 
     Raises
     ------
     LabelSpaceError
         No name is left.
     """
-    kept = {normalise(labels.names[label]) for label in labels.objects or labels.names}
-    objects = tuple(ObjectLabel.named(label) for label in sorted(kept - _NOT_OBJECTS))
-    return LabelSpace(name, objects, tuple(rooms))
+    found = {normalise(labels.names[label]) for label in labels.objects or labels.names}
+    kept = sorted(found - _NOT_OBJECTS)
+    taken = set(kept)
+    objects = []
+    for label in kept:
+        synonyms = sorted(_other_names(label, known) - taken)
+        taken.update(synonyms)
+        objects.append(replace(ObjectLabel.named(label), synonyms=tuple(synonyms)))
+    return LabelSpace(name, tuple(objects), tuple(rooms))
+
+
+def _other_names(label: str, known: Sequence[ObjectLabel]) -> set[str]:
+    groups = ({entry.label, *entry.synonyms} for entry in known)
+    return next((group - {label} for group in groups if label in group), set())

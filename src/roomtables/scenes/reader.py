@@ -48,6 +48,29 @@ def load_json(path: Path) -> Any:
         raise InputError(f"{path}: nested too deeply or too large to be a scene") from error
 
 
+def load_graph_document(path: Path) -> dict[str, Any]:
+    """The JSON of a Spark-DSG graph, mesh and all, from ``.json`` or ``.sparkdsg``.
+
+    Raises
+    ------
+    InputError
+        The file is malformed, or of another format.
+    MissingExtraError
+        A ``.sparkdsg`` file needs the extra ``scene-graphs``.
+    """
+    found = recognise(path)
+    if found is Format.SPARKDSG:
+        return sparkdsg_document(path, include_mesh=True)
+    if found is Format.JSON:
+        match load_json(path):
+            case {"nodes": _} as document:
+                return dict(document)
+    raise InputError(
+        f"{path}: not a Spark-DSG graph, so no names can be written into it; "
+        "`roomtables classify --input` labels every format"
+    )
+
+
 def _read_json(path: Path, options: ReadOptions) -> Scene:
     match load_json(path):
         case {"nodes": _} as document:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,31 @@ def read_csv_rooms(path: Path, options: ReadOptions) -> Scene:
         {"room_id": k, "room": truths.get(k), "objects": names} for k, names in objects.items()
     )
     return Scene(path.stem, [_scene_room(parse_room(line, str(path))) for line in lines])
+
+
+def read_true_rooms(path: Path) -> dict[str, tuple[str, ...]]:
+    """True labels by room id, from a CSV with columns ``room_id`` and ``room``.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or a row is malformed.
+    """
+    names = {}
+    for where, row in read_csv(path, required=("room_id", "room")):
+        line = {"room_id": row["room_id"].strip(), "room": row["room"], "objects": []}
+        names[row["room_id"].strip()] = parse_room(line, where).truth
+    return names
+
+
+def with_true_rooms(scene: Scene, names: Mapping[str, tuple[str, ...]]) -> Scene:
+    """The scene with a list's true labels: by room id, or by what follows the id's ``/``."""
+
+    def named(room: SceneRoom) -> SceneRoom:
+        truth = names.get(room.room_id) or names.get(room.room_id.rpartition("/")[2])
+        return replace(room, truth=truth) if truth else room
+
+    return replace(scene, rooms=map(named, scene.rooms))
 
 
 def nested_scene(document: dict[str, Any], path: Path) -> Scene:

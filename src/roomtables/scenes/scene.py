@@ -74,11 +74,15 @@ class SceneRoom:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One scene. ``rooms`` may be lazy and is then read once (a long room list)."""
+    """One scene. ``rooms`` may be lazy and is then read once (a long room list).
+
+    ``local_ids`` marks room ids that another scene may well use too, such as a graph's ``R0``.
+    """
 
     name: str
     rooms: Iterable[SceneRoom]
     unassigned: tuple[SceneObject, ...] = ()
+    local_ids: bool = False
 
 
 def silent(_: str) -> None:

@@ -1,0 +1,144 @@
+"""Graphs as they come over the wire: rooms and their objects out, names in, bytes again.
+
+Uses the package ``spark_dsg`` (the extra ``scene-graphs``), whose binary messages Hydra sends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from roomtables.errors import InputError
+from roomtables.scenes.dsg_graph import label_spaces, rooms_of
+from roomtables.scenes.dsg_labels import NamedRoom, room_label_space
+from roomtables.scenes.dsg_values import symbol
+from roomtables.scenes.hydra import load_label_names
+from roomtables.scenes.sparkdsg import graph_class
+
+# What decoding a message may allocate: a forged length field must not take the robot's memory.
+_LEAST_BYTES = 512 << 20
+_BYTES_PER_MESSAGE_BYTE = 64
+
+
+class LiveGraph:
+    """One decoded message. ``rooms`` maps each room's symbol to the labels of its objects."""
+
+    def __init__(self, graph: Any, names: Mapping[int, str] | None) -> None:
+        self._graph = graph
+        metadata = graph.metadata.get()
+        spaces = label_spaces({"metadata": metadata}, "message")
+        self._rooms = {symbol(node.id.value): node for node in _nodes(graph, "ROOMS")}
+        self._room_labels = spaces.get("_l4p0", {})
+        names = names or spaces.get("_l2p0") or spaces.get("mesh")
+        objects = {node.id.value: node for node in _nodes(graph, "OBJECTS")}
+        if names is None and objects and self._rooms:
+            raise InputError(
+                "no label space names its objects' labels; give one with `--labelspace FILE.yaml`"
+            )
+        self.rooms = self._contents(objects, names or {})
+
+    def _contents(
+        self, objects: Mapping[int, Any], names: Mapping[int, str]
+    ) -> dict[str, tuple[str, ...]]:
+        graph = self._graph
+        rooms = {node.id.value for node in self._rooms.values()}
+        owner = rooms_of(
+            objects,
+            lambda key: sorted((objects.get(key) or graph.get_node(key)).parents()),
+            rooms.__contains__,
+            lambda child, parent: math.dist(graph.get_position(child), graph.get_position(parent)),
+        )
+        held: dict[str, list[str]] = {key: [] for key in self._rooms}
+        for key, room in owner.items():
+            name = names.get(objects[key].attributes.semantic_label)
+            if room is not None and name is not None:
+                held[symbol(room)].append(name)
+        return {key: tuple(sorted(found)) for key, found in held.items()}
+
+    def name_rooms(self, named: Mapping[str, NamedRoom], labels: Iterable[str]) -> None:
+        """Write names into the graph; rooms without an answer keep what they have."""
+        used = {room.label for room in named.values()}
+        ids, pairs = room_label_space(self._room_labels, used, labels)
+        if named and len(pairs) > len(self._room_labels):
+            metadata = self._graph.metadata.get()
+            metadata.setdefault("labelspaces", {})["_l4p0"] = pairs
+            self._graph.metadata.set(metadata)
+        for key, room in named.items():
+            attributes = self._rooms[key].attributes
+            attributes.name = room.label
+            attributes.semantic_label = ids[room.label]
+            attributes.semantic_class_probabilities = dict(room.probabilities)
+            own = attributes.metadata.get() or {}
+            attributes.metadata.set({**own, "roomtables": dict(room.provenance)})
+
+    def encode(self) -> bytes:
+        """The message to publish, without the mesh."""
+        message: bytes = self._graph.to_binary(include_mesh=False)
+        return message
+
+
+class GraphCodec:
+    """Decodes messages, with the names of a Hydra label-space YAML where one is given.
+
+    Raises
+    ------
+    InputError
+        The YAML is not a label space.
+    MissingExtraError
+        ``spark_dsg`` is not installed.
+    """
+
+    def __init__(self, labelspace: Path | None = None) -> None:
+        self._names = load_label_names(labelspace) if labelspace else None
+        self._graph_class = graph_class()
+
+    def decode(self, message: bytes) -> LiveGraph:
+        """A graph from a message.
+
+        Raises
+        ------
+        InputError
+            The message is no scene graph, or one whose labels nothing names.
+        """
+        try:
+            with _bounded_memory(_LEAST_BYTES + _BYTES_PER_MESSAGE_BYTE * len(message)):
+                graph = self._graph_class.from_binary(message)
+            return LiveGraph(graph, self._names)
+        except InputError:
+            raise
+        except Exception as error:  # whatever a forged message makes of the decoder
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            raise InputError(f"not a readable scene graph ({reason})") from error
+
+
+def _nodes(graph: Any, layer: str) -> list[Any]:
+    if not graph.has_layer(layer):
+        return []
+    nodes = graph.get_layer(layer).nodes
+    if layer == "OBJECTS":
+        return [node for node in nodes if "Object" in type(node.attributes).__name__]
+    return list(nodes)
+
+
+@contextmanager
+def _bounded_memory(extra: int) -> Iterator[None]:
+    """Let the process grow by ``extra`` bytes at most, where the system can hold it to that."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (ImportError, OSError):
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = pages * resource.getpagesize() + extra
+    if soft != resource.RLIM_INFINITY:
+        limit = min(limit, soft)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
