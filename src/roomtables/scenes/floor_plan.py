@@ -108,7 +108,7 @@ def _picture(
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "roomtables", "svg.fonttype": "none"}):
         figure = Figure(figsize=(10 * len(levels), 9), layout="constrained")
-        panels = figure.subplots(1, len(levels), squeeze=False)[0]
+        panels = figure.subplots(1, len(levels), squeeze=False, sharex=True, sharey=True)[0]
         for panel, keys in zip(panels, levels, strict=True):
             for key in keys:
                 _draw_room(panel, rooms[key], boxes[key], answers, total <= _MOST_LABELS)
