@@ -217,7 +217,7 @@ def test_a_failing_check_publishes_nothing(tmp_path, labels, monkeypatch):
     for sql in stages.pipeline_folder().glob("*.sql"):
         (pipeline / sql.name).write_text(sql.read_text())
     monkeypatch.setattr(stages, "pipeline_folder", lambda: pipeline)
-    with pytest.raises(StoreError, match="check never failed.*'bed'"):
+    with pytest.raises(StoreError, match=r"check never failed.*'bed'"):
         build(tables=tmp_path, labels=labels, scorer=HashScorer())
     assert SpaceFolder(tmp_path, "small").published() is None
 

@@ -1,0 +1,44 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+EXAMPLE := src/roomtables/examples/house.jsonl
+DEMO   := $(VENV)/demo-tables
+
+.PHONY: demo test lint household-lm bench clean
+
+demo: $(VENV)/.installed-lm
+	@echo "== build: p(room | object) for mpcat40, and the combinations that the example needs"
+	$(BIN)/roomtables build --tables $(DEMO) --combinations $(EXAMPLE)
+	@echo "== label the example scene, from the tables alone"
+	$(BIN)/roomtables classify --tables $(DEMO) --input $(EXAMPLE) --offline
+	@echo "== a combination that no table holds: one pass of the model"
+	$(BIN)/roomtables classify --tables $(DEMO) --rule query bathtub towel mirror
+	@echo "== what the tables know"
+	$(BIN)/roomtables sql --tables $(DEMO) \
+	  "select object, entropy_nats from entropy where source = 'proxy' order by rank limit 5"
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+# Reproduces the embedded model: hours on a CPU. See pipeline/household_lm/.
+household-lm: $(VENV)/.installed-dev
+	$(BIN)/python pipeline/household_lm/train.py
+
+clean:
+	rm -rf $(VENV) build dist
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed-%: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	  --constraint constraints.txt --editable '.[$*]'
+	touch $@

@@ -1,0 +1,48 @@
+"""The command line as a user types it, on tables that a scorer without a model filled."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from roomtables import build
+from roomtables.cli import main
+from support import HashScorer
+
+
+class Shell:
+    """Runs ``roomtables`` commands in a folder."""
+
+    def __init__(self, tables: Path) -> None:
+        self.tables = tables
+
+    def __call__(self, *args, stdin=None, code=0):
+        result = CliRunner().invoke(main, [str(arg) for arg in args], input=stdin)
+        said = f"{args} exited {result.exit_code}\n{result.output}"
+        assert result.exit_code == code, said
+        if code:
+            assert "Traceback" not in result.output
+            if code == 1:
+                (line,) = [x for x in result.stderr.splitlines() if x.startswith("error: ")]
+                assert result.stdout == ""
+                return line
+        return result.stdout
+
+    def lines(self, *args, **kwargs):
+        return [json.loads(line) for line in self(*args, **kwargs).splitlines()]
+
+
+@pytest.fixture
+def shell(tmp_path):
+    return Shell(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def published(tmp_path_factory):
+    """Tables of mpcat40 where the combinations of one or two objects are held."""
+    tables = tmp_path_factory.mktemp("tables")
+    build(tables=tables, scorer=HashScorer(), k=2)
+    return tables
