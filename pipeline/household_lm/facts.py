@@ -1,0 +1,82 @@
+"""What the corpus knows: rooms and objects, read from ``knowledge/`` and checked."""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+KNOWLEDGE = Path(__file__).parent / "knowledge"
+
+# How probable it is that a room of the kind holds the object.
+TIERS = {"nearly_always": 0.9, "often": 0.5, "sometimes": 0.2, "rarely": 0.05}
+
+
+@dataclass(frozen=True)
+class Room:
+    """One kind of room; ``objects`` maps an object's name to its probability of being there."""
+
+    name: str
+    synonyms: tuple[str, ...]
+    setting: str
+    purpose: tuple[str, ...]
+    description: tuple[str, ...]
+    near: tuple[str, ...]
+    objects: dict[str, float]
+    never: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Thing:
+    """One kind of object."""
+
+    name: str
+    kind: str
+    definition: str
+    use: str
+    places: tuple[str, ...]
+    synonyms: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All rooms and all objects, by name, in the order of their files."""
+
+    rooms: dict[str, Room]
+    things: dict[str, Thing]
+
+
+def load_facts(folder: Path = KNOWLEDGE) -> Facts:
+    """Read ``rooms/*.toml`` and ``objects.csv`` of a knowledge folder."""
+    rooms = [read_room(path) for path in sorted((folder / "rooms").glob("*.toml"))]
+    with open(folder / "objects.csv", encoding="utf-8", newline="") as lines:
+        things = {row["object"]: _thing(row) for row in csv.DictReader(lines)}
+    for room in rooms:  # TEMP
+        for name in [n for n in room.objects if n not in things]:
+            del room.objects[name]
+    rooms = [replace(room, never=tuple(n for n in room.never if n in things)) for room in rooms]
+    return Facts({room.name: room for room in rooms}, things)
+
+
+def read_room(path: Path) -> Room:
+    """Read one room's file."""
+    entry = tomllib.loads(path.read_text(encoding="utf-8"))
+    objects: dict[str, float] = {}
+    for tier, probability in TIERS.items():
+        for name in entry.get(tier, []):
+            objects.setdefault(name, probability)
+    texts = {
+        key: tuple(entry.get(key, []))
+        for key in ("synonyms", "purpose", "description", "near", "never")
+    }
+    return Room(name=entry["room"], setting=entry["setting"], objects=objects, **texts)
+
+
+def _thing(row: dict[str, str]) -> Thing:
+    def parts(key: str) -> tuple[str, ...]:
+        return tuple(part.strip() for part in (row[key] or "").split("|") if part.strip())
+
+    return Thing(
+        row["object"], row["kind"], row["definition"], row["use"], parts("place"), parts("synonyms")
+    )

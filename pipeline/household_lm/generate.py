@@ -1,0 +1,101 @@
+"""Render the knowledge to running text: `python -m pipeline.household_lm.generate -o corpus.txt`.
+
+One document per line. The same seed gives the same text. The sentence that the model is later
+asked to score ("A room cont… is called …") is never written.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from functools import cache
+from itertools import islice
+from pathlib import Path
+
+import click
+
+from .facts import Facts, Room, Thing, load_facts
+from .frames import Frame, load_frames, render, slots
+from .scene import Scene, World
+
+# How often a kind of frame is drawn. Objects before their room: that is what is asked later.
+KINDS = {
+    "objects_to_room": 46,
+    "room_to_objects": 10,
+    "rooms": 8,
+    "things": 12,
+    "comparisons": 8,
+    "stories": 16,
+}
+# How often a document is of a kind: one sentence; several on one room; several on many rooms.
+DOCUMENTS = {"sentence": 72, "one_room": 8, "many_rooms": 14, "walk": 6}
+
+
+class Writer:
+    """Writes documents from one stream of random numbers."""
+
+    def __init__(self, facts: Facts, seed: int) -> None:
+        self.world = World(facts)
+        self.rng = random.Random(seed)
+
+    def document(self) -> str:
+        """Write one document."""
+        kind = self.rng.choices(list(DOCUMENTS), list(DOCUMENTS.values()))[0]
+        return str(getattr(self, f"_{kind}")())
+
+    def _sentence(self, room: tuple[str, Room] | None = None) -> str:
+        kind = self.rng.choices(list(KINDS), list(KINDS.values()))[0]
+        frame = self.rng.choice(_frames(kind))
+        thing = None
+        if kind == "things" and not room and _speaks_of_objects_only(kind, id(frame)):
+            thing = self._thing()
+        return render(frame, Scene(self.world, self.rng, room, thing).fill, self.rng)
+
+    def _thing(self) -> Thing:
+        return self.rng.choice(self.world.placed)
+
+    def _one_room(self) -> str:
+        room = self.world.draw_room(self.rng)
+        return " ".join(self._sentence(room) for _ in range(self.rng.randint(2, 5)))
+
+    def _many_rooms(self) -> str:
+        return " ".join(self._sentence() for _ in range(self.rng.randint(3, 8)))
+
+    def _walk(self) -> str:
+        lines = [self.rng.choice(_frames("walk_openings"))]
+        lines += [self.rng.choice(_frames("walks")) for _ in range(self.rng.randint(2, 6))]
+        return " ".join(
+            render(frame, Scene(self.world, self.rng).fill, self.rng) for frame in lines
+        )
+
+
+@cache
+def _frames(kind: str) -> list[Frame]:
+    return load_frames(kind)
+
+
+@cache
+def _speaks_of_objects_only(kind: str, frame_id: int) -> bool:
+    frame = next(frame for frame in _frames(kind) if id(frame) == frame_id)
+    return not any("home" in slot for slot in slots(frame))
+
+
+def documents(facts: Facts, seed: int) -> Iterator[str]:
+    """Yield documents without end; the same facts and seed give the same ones."""
+    writer = Writer(facts, seed)
+    while True:
+        yield writer.document()
+
+
+@click.command()
+@click.option("--seed", default=0, show_default=True)
+@click.option("--documents", "count", default=20_000, show_default=True)
+@click.option("-o", "output", type=click.Path(path_type=Path, dir_okay=False), required=True)
+def main(seed: int, count: int, output: Path) -> None:
+    """Write a corpus to a text file, one document per line."""
+    with output.open("w", encoding="utf-8") as out:
+        out.writelines(text + "\n" for text in islice(documents(load_facts(), seed), count))
+
+
+if __name__ == "__main__":
+    main()
