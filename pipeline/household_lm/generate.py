@@ -49,7 +49,8 @@ class Writer:
         thing = None
         if kind == "things" and not room and _speaks_of_objects_only(kind, id(frame)):
             thing = self._thing()
-        return render(frame, Scene(self.world, self.rng, room, thing).fill, self.rng)
+        scene = Scene(self.world, self.rng, room, thing, contrast=kind == "comparisons")
+        return render(frame, scene.fill, self.rng)
 
     def _thing(self) -> Thing:
         return self.rng.choice(self.world.placed)

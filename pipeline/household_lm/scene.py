@@ -73,22 +73,48 @@ class World:
         """The objects that some room holds."""
         return [thing for thing in self.facts.things.values() if thing.name in self.homes]
 
+    @cached_property
+    def _rivals(self) -> dict[tuple[str, str], tuple[list[tuple[str, Room]], list[float]]]:
+        return {}
+
+    def rivals(self, thing: str, home: str) -> tuple[list[tuple[str, Room]], list[float]]:
+        """Give the named rooms, and their weights, where an object is rarer than at home."""
+        if (thing, home) not in self._rivals:
+            limit = _OTHER_AT_MOST * self.facts.rooms[home].objects[thing]
+            pairs = [
+                (named, weight)
+                for named, weight in zip(self.names, self.name_weights, strict=True)
+                if named[1].name != home and named[1].objects.get(thing, 0.0) <= limit
+            ] or [(named, 1.0) for named in self.names if named[1].name != home]
+            rooms, weights = zip(*pairs, strict=True)
+            self._rivals[thing, home] = list(rooms), list(weights)
+        return self._rivals[thing, home]
+
+    def tells_apart(self, thing: str, home: str) -> bool:
+        """Tell whether an object is much rarer in most other rooms than at home."""
+        return len(self.rivals(thing, home)[0]) > len(self.names) / 2 and (
+            self.facts.rooms[home].objects[thing] > self.facts.rooms[
+                self.rivals(thing, home)[0][0][1].name
+            ].objects.get(thing, 0.0)
+        )
+
     def draw_room(self, rng: random.Random) -> tuple[str, Room]:
         """Draw a room's name, each own name equally often."""
         return rng.choices(self.names, self.name_weights)[0]
 
     def draw_objects(
-        self, room: Room, count: int, rng: random.Random, without: Sequence[str] = ()
+        self, room: Room, count: int, rng: random.Random, without: Sequence[str] = (),
+        skip_held_out: bool = True,
     ) -> list[str]:
         """Draw distinct objects of a room in proportion to how typical they are."""
         weighted = {name: p for name, p in room.objects.items() if name not in without}
-        count = min(count, len(weighted))
-        while True:
+        chosen: list[str] = []
+        while not chosen or (skip_held_out and is_held_out(chosen)):
             ranked = sorted(weighted, key=lambda name: rng.random() ** (1 / weighted[name]))
             chosen = ranked[-count:]
             rng.shuffle(chosen)
-            if not is_held_out(chosen):
-                return chosen
+            count = max(1, count - 1)  # a short list cannot be held out for ever
+        return chosen
 
 
 class Scene:
@@ -96,9 +122,9 @@ class Scene:
 
     def __init__(
         self, world: World, rng: random.Random, room: tuple[str, Room] | None = None,
-        thing: Thing | None = None,
+        thing: Thing | None = None, contrast: bool = False,
     ) -> None:
-        self.world, self.rng = world, rng
+        self.world, self.rng, self.contrast = world, rng, contrast
         self.name, self.room = room or world.draw_room(rng)
         if thing:
             self.__dict__["thing"] = thing
@@ -167,15 +193,16 @@ class Scene:
     @cached_property
     def thing(self) -> Thing:
         """The object that ``{one}`` speaks of."""
-        return self.world.facts.things[self.world.draw_objects(self.room, 1, self.rng)[0]]
+        for _ in range(20):
+            name = self.world.draw_objects(self.room, 1, self.rng)[0]
+            if not self.contrast or self.world.tells_apart(name, self.room.name):
+                break
+        return self.world.facts.things[name]
 
     @cached_property
     def _other(self) -> tuple[str, Room]:
-        limit = _OTHER_AT_MOST * self.room.objects[self.thing.name]
-        while True:
-            name, room = self.world.draw_room(self.rng)
-            if room.objects.get(self.thing.name, 0.0) <= limit and room is not self.room:
-                return name, room
+        rivals, weights = self.world.rivals(self.thing.name, self.room.name)
+        return self.rng.choices(rivals, weights)[0]
 
     @cached_property
     def _listed(self) -> tuple[str, bool]:

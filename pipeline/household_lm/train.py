@@ -1,0 +1,273 @@
+"""Train household-lm from nothing: `python -m pipeline.household_lm.train --work build/household-lm`.
+
+Stop it when you like; the same command goes on from the last checkpoint. At the end the averaged
+weights are exported in float16 to ``--output``.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import os
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import torch
+from tokenizers import Tokenizer
+from torch.nn.functional import cross_entropy
+from tqdm import tqdm
+from transformers import LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
+
+from .facts import Facts, load_facts
+from .judge import judge
+from .packing import BOS, Batch, batches, train_tokenizer
+
+MODEL_FOLDER = Path(__file__).parents[2] / "src" / "roomtables" / "models" / "household-lm"
+_VALIDATION_SEED = 900_000_000
+_VALIDATION_BATCHES = 12
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that the weights depend on, besides the knowledge and the frames."""
+
+    seed: int = 0
+    tokens: int = 12_000_000
+    vocabulary: int = 4096
+    width: int = 192
+    layers: int = 4
+    inner: int = 512
+    heads: int = 6
+    rows: int = 24
+    length: int = 128
+    learning_rate: float = 3e-3
+    weight_decay: float = 0.05
+    dropout: float = 0.0
+    warmup_steps: int = 100
+    average: float = 0.995
+
+    @property
+    def steps(self) -> int:
+        """How many updates the tokens make."""
+        return max(1, self.tokens // (self.rows * self.length))
+
+
+class Training:
+    """A model in training, with all that a checkpoint holds."""
+
+    def __init__(self, recipe: Recipe, facts: Facts, work: Path) -> None:
+        self.recipe, self.facts, self.work = recipe, facts, work
+        self.checkpoint = work / "checkpoint.pt"
+        self.tokenizer = _tokenizer(facts, recipe, work)
+        torch.manual_seed(recipe.seed)
+        self.model = _new_model(recipe, self.tokenizer)
+        self.average = _new_model(recipe, self.tokenizer).requires_grad_(False).eval()
+        self.average.load_state_dict(self.model.state_dict())
+        self.optimizer = _optimizer(self.model, recipe)
+        self.step, self.position = 0, (0, 0)
+
+    def save(self) -> None:
+        """Write a checkpoint beside the old one, then replace it."""
+        aside = self.checkpoint.with_suffix(".tmp")
+        state = {
+            "recipe": asdict(self.recipe), "model": self.model.state_dict(),
+            "average": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
+            "step": self.step, "position": self.position, "random": torch.get_rng_state(),
+        }
+        torch.save(state, aside)
+        os.replace(aside, self.checkpoint)
+
+    def resume(self) -> None:
+        """Take up the checkpoint, where there is one.
+
+        Raises
+        ------
+        click.ClickException
+            It was written with another recipe.
+        """
+        if not self.checkpoint.exists():
+            return
+        state: dict[str, Any] = torch.load(self.checkpoint, weights_only=True)
+        if state["recipe"] != asdict(self.recipe):
+            raise click.ClickException(
+                f"{self.checkpoint} was written with other options; "
+                "give the same ones, or another --work folder"
+            )
+        self.model.load_state_dict(state["model"])
+        self.average.load_state_dict(state["average"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.position = state["step"], tuple(state["position"])
+        torch.set_rng_state(state["random"])
+
+    def update(self, batch: Batch) -> float:
+        """Make one step; returns the batch's mean loss in nats per token."""
+        recipe = self.recipe
+        for group in self.optimizer.param_groups:
+            group["lr"] = recipe.learning_rate * _rate(self.step, recipe)
+        self.model.train()
+        loss = _loss(self.model, batch)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        self.step += 1
+        share = max(1 - recipe.average, 1 / self.step)
+        for mean, value in zip(self.average.parameters(), self.model.parameters(), strict=True):
+            mean.lerp_(value.detach(), share)
+        return loss.item()
+
+    def measure(self) -> dict[str, float]:
+        """Held-out loss and held-out frames, with the averaged weights."""
+        held_out = batches(
+            self.facts, self.tokenizer, _VALIDATION_SEED, self.recipe.rows, self.recipe.length,
+            (0, 0),
+        )
+        with torch.no_grad():
+            losses = [
+                _loss(self.average, batch).item()
+                for batch, _ in itertools.islice(held_out, _VALIDATION_BATCHES)
+            ]
+        verdict = asdict(judge(self.average, self.tokenizer, self.facts))
+        return {"held_out_loss": sum(losses) / len(losses), **verdict}
+
+
+def _tokenizer(facts: Facts, recipe: Recipe, work: Path) -> Tokenizer:
+    path = work / "tokenizer.json"
+    if not path.exists():
+        tokenizer = train_tokenizer(facts, recipe.vocabulary)
+        tokenizer.save(str(path.with_suffix(".tmp")))
+        os.replace(path.with_suffix(".tmp"), path)
+    return Tokenizer.from_file(str(path))
+
+
+def _new_model(recipe: Recipe, tokenizer: Tokenizer) -> LlamaForCausalLM:
+    return LlamaForCausalLM(
+        LlamaConfig(
+            vocab_size=tokenizer.get_vocab_size(),
+            hidden_size=recipe.width,
+            num_hidden_layers=recipe.layers,
+            intermediate_size=recipe.inner,
+            num_attention_heads=recipe.heads,
+            num_key_value_heads=recipe.heads,
+            max_position_embeddings=512,
+            attention_dropout=recipe.dropout,
+            tie_word_embeddings=True,
+            bos_token_id=tokenizer.token_to_id(BOS),
+            eos_token_id=None,
+            pad_token_id=None,
+        )
+    )
+
+
+def _optimizer(model: LlamaForCausalLM, recipe: Recipe) -> torch.optim.AdamW:
+    matrices = [value for value in model.parameters() if value.ndim > 1]
+    vectors = [value for value in model.parameters() if value.ndim == 1]
+    groups = [
+        {"params": matrices, "weight_decay": recipe.weight_decay},
+        {"params": vectors, "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=recipe.learning_rate, betas=(0.9, 0.97), fused=True)
+
+
+def _rate(step: int, recipe: Recipe) -> float:
+    """Linear warm-up, then a linear way down to a hundredth."""
+    warm = min(1.0, (step + 1) / recipe.warmup_steps)
+    return warm * max(0.01, 1 - step / recipe.steps)
+
+
+def _loss(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
+    with torch.autocast("cpu", torch.bfloat16):
+        logits = model(
+            input_ids=batch.ids,
+            position_ids=batch.positions,
+            attention_mask=batch.mask().bfloat16(),
+            use_cache=False,
+        ).logits
+    return cross_entropy(logits.float().flatten(0, 1), batch.targets().flatten())
+
+
+def train(training: Training, measure_every: int, stop_at: int | None = None) -> None:
+    """Train to the recipe's end (or ``stop_at``), measuring and saving on the way."""
+    recipe = training.recipe
+    stream = batches(
+        training.facts, training.tokenizer, recipe.seed * 1_000_000, recipe.rows, recipe.length,
+        training.position,
+    )
+    end = min(recipe.steps, stop_at or recipe.steps)
+    tokens = recipe.rows * recipe.length
+    bar = tqdm(
+        total=recipe.steps * tokens, initial=training.step * tokens, unit="token", unit_scale=True,
+        mininterval=2,
+    )
+    with bar:
+        while training.step < end:
+            batch, training.position = next(stream)
+            loss = training.update(batch)
+            bar.update(tokens)
+            bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
+            if training.step % measure_every == 0 or training.step == end:
+                training.save()
+                _log(training, loss)
+
+
+def _log(training: Training, loss: float) -> None:
+    row = {
+        "step": training.step,
+        "tokens": training.step * training.recipe.rows * training.recipe.length,
+        "cpu_seconds": round(time.process_time()),
+        "training_loss": loss,
+        **training.measure(),
+    }
+    path = training.work / "progress.csv"
+    new = not path.exists()
+    with path.open("a", encoding="utf-8", newline="") as out:
+        writer = csv.DictWriter(out, row)
+        if new:
+            writer.writeheader()
+        writer.writerow({k: f"{v:.4f}" if isinstance(v, float) else v for k, v in row.items()})
+    tqdm.write(json.dumps(row))
+
+
+def export(training: Training, folder: Path) -> None:
+    """Write the averaged weights in float16, with configuration and tokenizer."""
+    folder.mkdir(parents=True, exist_ok=True)
+    model = _new_model(training.recipe, training.tokenizer)
+    model.load_state_dict(training.average.state_dict())
+    model.half().save_pretrained(folder)
+    (folder / "generation_config.json").unlink(missing_ok=True)
+    PreTrainedTokenizerFast(
+        tokenizer_object=training.tokenizer, bos_token=BOS, clean_up_tokenization_spaces=False,
+        model_max_length=512,
+    ).save_pretrained(folder)
+
+
+@click.command()
+@click.option("--work", type=click.Path(path_type=Path), default=Path("build/household-lm"))
+@click.option("--output", type=click.Path(path_type=Path), default=MODEL_FOLDER)
+@click.option("--measure-every", default=500, show_default=True, help="Steps between measures.")
+@click.option("--seed", default=Recipe.seed, show_default=True)
+@click.option("--tokens", default=Recipe.tokens, show_default=True)
+@click.option("--vocabulary", default=Recipe.vocabulary, show_default=True)
+@click.option("--width", default=Recipe.width, show_default=True)
+@click.option("--layers", default=Recipe.layers, show_default=True)
+@click.option("--inner", default=Recipe.inner, show_default=True)
+@click.option("--heads", default=Recipe.heads, show_default=True)
+@click.option("--learning-rate", default=Recipe.learning_rate, show_default=True)
+@click.option("--weight-decay", default=Recipe.weight_decay, show_default=True)
+@click.option("--dropout", default=Recipe.dropout, show_default=True)
+@click.option("--average", default=Recipe.average, show_default=True)
+def main(work: Path, output: Path, measure_every: int, **options: Any) -> None:
+    """Train, or go on training, and export."""
+    work.mkdir(parents=True, exist_ok=True)
+    training = Training(Recipe(**options), load_facts(), work)
+    training.resume()
+    train(training, measure_every)
+    export(training, output)
+
+
+if __name__ == "__main__":
+    main()
