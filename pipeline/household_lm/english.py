@@ -1,4 +1,8 @@
-"""Number, articles, and lists for the corpus: what a noun looks like in a sentence."""
+"""Number, articles, and lists for the corpus: what a noun looks like in a sentence.
+
+Plurals and articles are those of ``roomtables.english``, so that the corpus spells a noun as
+the scored sentences do; uncountable nouns, which a label does not show, are named here.
+"""
 
 from __future__ import annotations
 
@@ -6,69 +10,45 @@ import random
 from collections.abc import Sequence
 from functools import cache
 
-import inflect
+from roomtables.english import article, pluralise, singular
 
-_ENGINE = inflect.engine()
-
-# Heads of names that inflect cannot know to be uncountable or plural in this sense.
+# The last word, or the whole name, of what is not counted.
 _MASS = frozenset(
-    """art artwork bedding bread butter cardboard carpeting cat_litter cement cereal chalk cheese
-    chocolate cleaner clothing clutter coal coffee concrete crockery cutlery decor decoration
-    detergent dirt dishwashing dust equipment exercise_gear fabric firewood flooring flour food
-    footwear fruit furniture garbage gauze gear glassware glue grass gravel greenery hair hardware
-    honey ice insulation jam jelly jewelry juice junk ketchup laundry lighting linen linoleum
-    litter lotion lumber luggage machinery mail makeup margarine mascara mayonnaise meat medicine
-    merchandise milk mouthwash mulch mustard oil paint paper pasta pepper perfume petrol pizza
-    plaster plumbing plywood pottery produce rice rubbish salt sand scaffolding seating shampoo
-    shelving shrubbery signage silverware soap soda soil soup stationery steel straw string stuff
-    sugar sunscreen tableware tape tea timber tinsel tiling toilet_tissue tinfoil toothpaste trash
-    twine underwear upholstery varnish vegetation ventilation vinegar wallpaper water waxing wine
-    wiring wood wool yarn yeast yogurt conditioner cream deodorant cologne disinfectant bleach foil
-    floss foam gum gel cotton leather broccoli cauliflower celery garlic lettuce spinach asparagus
-    ginger popcorn tofu hummus salsa sauce syrup cash""".split()
+    """art artwork baggage bedding bleach bread broccoli butter carpeting celery cereal chalk
+    cheese chocolate clothing coffee cologne cream cutlery decor decoration deodorant detergent dirt
+    ear_protection equipment fabric fertilizer firewood floss flooring flour foil food
+    footwear fruit furniture garbage garlic gear gel gift_wrap ginger glassware glue grass gravel
+    ground greenery hair hair_conditioner hardware honey ice incense insulation jam jewellery
+    jewelry juice ketchup laundry lettuce lighting linen litter lotion luggage lumber machinery
+    mail makeup meat medicine merchandise milk modeling_clay mouthwash mustard oil paint paper
+    pasta pepper perfume popcorn pottery produce rice rubbish salsa salt sandpaper sauce seating
+    shampoo sheet_music shelving shrubbery signage silverware soap soda soil soup spinach
+    stationery steam straw sugar sunscreen syrup tableware tape tea toothpaste trash
+    underwear vegetation vinegar wallpaper water wax wine wood wool yarn yeast yogurt""".split()
 )
-_PLURAL = frozenset(
-    """blinds bleachers bongos clippers clothes dishes goggles glasses groceries headphones
-    earphones jeans leggings overalls pajamas pants pliers pyjamas scissors shears shorts stairs
-    steps stilts sunglasses supplies sweatpants swimming_trunks tights tongs toiletries tools toys
-    trousers tweezers vegetables weights drapes binoculars earbuds bunk_beds leftovers stockings
-    belongings electronics monkey_bars shutters spices trunks slacks scales tracks
-    castanets nuts""".split()
-)
-_NOT_PLURAL = ("ss", "us", "is", "as", "os", "chess", "lens", "gas")
+_NOT_MASS = frozenset("bell_pepper drinking_straw measuring_tape pizza ice_cream_maker".split())
+# Plurals that end in no "s", or whose singular means something else.
+_PLURAL = frozenset("clothes glasses scissors stairs shears pants jeans pliers".split())
 
 
 @cache
 def number(name: str) -> str:
     """Tell whether a noun is used as ``"count"``, ``"mass"``, or ``"plural"``."""
-    head = name.split(" of ")[0].split(" with ")[0].split()[-1].lower()
-    full = name.replace(" ", "_").lower()
-    if full in _PLURAL or head in _PLURAL:
-        return "plural"
-    if full in _MASS or head in _MASS:
+    head = name.split(" of ")[0].split()[-1]
+    whole = name.replace(" ", "_")
+    if whole not in _NOT_MASS and (whole in _MASS or head in _MASS):
         return "mass"
-    if head.endswith("s") and not head.endswith(_NOT_PLURAL) and _ENGINE.singular_noun(head):
-        return "plural"
-    return "count"
+    return "plural" if head in _PLURAL or singular(head) is not None else "count"
 
 
-@cache
 def plural(name: str) -> str:
-    """Give the plural form; a mass or plural noun is its own."""
-    if number(name) != "count":
-        return name
-    for joint in (" of ", " with ", " for ", " in "):
-        head, found, rest = name.partition(joint)
-        if found:
-            return plural(head) + joint + rest
-    before, _, last = name.rpartition(" ")
-    return f"{before} {_ENGINE.plural_noun(last) or last}".strip()
+    """Give the plural form: ``chests of drawers``, ``shelves``, ``clothes``."""
+    return pluralise(name)
 
 
-@cache
 def with_article(name: str) -> str:
     """Put "a" or "an" before a noun that one can count, nothing before another."""
-    return str(_ENGINE.a(name)) if number(name) == "count" else name
+    return f"{article(name)} {name}" if number(name) == "count" else name
 
 
 def listed(items: Sequence[str], rng: random.Random) -> str:
@@ -88,22 +68,17 @@ def listed(items: Sequence[str], rng: random.Random) -> str:
 
 def noun_list(names: Sequence[str], rng: random.Random) -> tuple[str, bool]:
     """Render objects in one manner; also tell whether a verb after them is plural."""
-    manner = rng.choices(["plural", "article", "mixed", "bare", "some"], [48, 28, 10, 8, 6])[0]
+    manner = rng.choices(["plural", "article", "mixed", "bare", "some"], [50, 27, 10, 8, 5])[0]
     words = [_noun(name, manner, rng) for name in names]
-    single = len(names) == 1 and words[0] != plural(names[0]) and not words[0].startswith("some ")
-    is_plural = not (single or (len(names) == 1 and number(names[0]) == "mass"))
-    return listed(words, rng), is_plural
+    is_plural = len(names) > 1 or number(names[0]) == "plural" or words[0] == plural(names[0])
+    return listed(words, rng), is_plural and not (len(names) == 1 and number(names[0]) == "mass")
 
 
 def _noun(name: str, manner: str, rng: random.Random) -> str:
     if manner == "mixed":
         manner = rng.choice(["plural", "article", "article", "some"])
-    if manner == "plural":
-        return plural(name)
-    if manner == "bare":
+    if manner == "article":
+        return with_article(name)
+    if manner == "bare" or (number(name) == "mass" and rng.random() < 0.5):
         return name
-    if manner == "some":
-        return rng.choice(["some ", "some ", "a few " if number(name) != "mass" else "some "]) + (
-            plural(name)
-        )
-    return with_article(name)
+    return plural(name) if manner == "plural" else f"some {plural(name)}"

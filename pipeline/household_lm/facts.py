@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 KNOWLEDGE = Path(__file__).parent / "knowledge"
@@ -52,10 +52,6 @@ def load_facts(folder: Path = KNOWLEDGE) -> Facts:
     rooms = [read_room(path) for path in sorted((folder / "rooms").glob("*.toml"))]
     with open(folder / "objects.csv", encoding="utf-8", newline="") as lines:
         things = {row["object"]: _thing(row) for row in csv.DictReader(lines)}
-    for room in rooms:  # TEMP
-        for name in [n for n in room.objects if n not in things]:
-            del room.objects[name]
-    rooms = [replace(room, never=tuple(n for n in room.never if n in things)) for room in rooms]
     return Facts({room.name: room for room in rooms}, things)
 
 

@@ -45,7 +45,9 @@ class Batch:
         return torch.where(same, next_ids, -100)
 
 
-def train_tokenizer(facts: Facts, vocabulary: int) -> Tokenizer:
+def train_tokenizer(
+    facts: Facts, vocabulary: int, count: int = _TOKENIZER_DOCUMENTS
+) -> Tokenizer:
     """Train a byte-level BPE tokenizer that puts BOS, and no EOS, around a sentence."""
     tokenizer = Tokenizer(models.BPE())
     tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
@@ -56,7 +58,7 @@ def train_tokenizer(facts: Facts, vocabulary: int) -> Tokenizer:
         initial_alphabet=pre_tokenizers.ByteLevel.alphabet(),
         show_progress=False,
     )
-    texts = islice(documents(facts, _TOKENIZER_SEED), _TOKENIZER_DOCUMENTS)
+    texts = islice(documents(facts, _TOKENIZER_SEED), count)
     tokenizer.train_from_iterator(texts, trainer)
     tokenizer.post_processor = processors.TemplateProcessing(
         single=f"{BOS} $A", pair=f"{BOS} $A {BOS} $B", special_tokens=[(BOS, 0)]

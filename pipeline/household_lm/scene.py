@@ -301,6 +301,9 @@ class Scene:
     def _slot_setting_place(self) -> str:
         return self.rng.choice(_SETTINGS[self.room.setting])
 
+    def _slot_a_setting_place(self) -> str:
+        return english.with_article(self._slot_setting_place())
+
     def _slot_setting_places(self) -> str:
         return english.plural(self._slot_setting_place())
 

@@ -45,6 +45,7 @@ class Recipe:
     rows: int = 24
     length: int = 128
     learning_rate: float = 3e-3
+    embedding_rate: float = 3e-3
     weight_decay: float = 0.05
     dropout: float = 0.0
     warmup_steps: int = 100
@@ -67,7 +68,7 @@ class Training:
         self.model = _new_model(recipe, self.tokenizer)
         self.average = _new_model(recipe, self.tokenizer).requires_grad_(False).eval()
         self.average.load_state_dict(self.model.state_dict())
-        self.optimizer = _optimizer(self.model, recipe)
+        self.optimizers = _optimizers(self.model, recipe)
         self.step, self.position = 0, (0, 0)
 
     def save(self) -> None:
@@ -75,7 +76,8 @@ class Training:
         aside = self.checkpoint.with_suffix(".tmp")
         state = {
             "recipe": asdict(self.recipe), "model": self.model.state_dict(),
-            "average": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
             "step": self.step, "position": self.position, "random": torch.get_rng_state(),
         }
         torch.save(state, aside)
@@ -99,28 +101,33 @@ class Training:
             )
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        for optimizer, saved in zip(self.optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(saved)
         self.step, self.position = state["step"], tuple(state["position"])
         torch.set_rng_state(state["random"])
 
     def update(self, batch: Batch) -> float:
         """Make one step; returns the batch's mean loss in nats per token."""
         recipe = self.recipe
-        for group in self.optimizer.param_groups:
-            group["lr"] = recipe.learning_rate * _rate(self.step, recipe)
+        for optimizer, rate in zip(
+            self.optimizers, (recipe.learning_rate, recipe.embedding_rate), strict=True
+        ):
+            for group in optimizer.param_groups:
+                group["lr"] = rate * _rate(self.step, recipe)
         self.model.train()
         loss = _loss(self.model, batch)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
+        for optimizer in self.optimizers:
+            optimizer.step()
+            optimizer.zero_grad(set_to_none=True)
         self.step += 1
         share = max(1 - recipe.average, 1 / self.step)
         for mean, value in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mean.lerp_(value.detach(), share)
         return loss.item()
 
-    def measure(self) -> dict[str, float]:
+    def measure(self, judge_sets: int) -> dict[str, float]:
         """Held-out loss and held-out frames, with the averaged weights."""
         held_out = batches(
             self.facts, self.tokenizer, _VALIDATION_SEED, self.recipe.rows, self.recipe.length,
@@ -131,7 +138,7 @@ class Training:
                 _loss(self.average, batch).item()
                 for batch, _ in itertools.islice(held_out, _VALIDATION_BATCHES)
             ]
-        verdict = asdict(judge(self.average, self.tokenizer, self.facts))
+        verdict = asdict(judge(self.average, self.tokenizer, self.facts, judge_sets))
         return {"held_out_loss": sum(losses) / len(losses), **verdict}
 
 
@@ -163,14 +170,22 @@ def _new_model(recipe: Recipe, tokenizer: Tokenizer) -> LlamaForCausalLM:
     )
 
 
-def _optimizer(model: LlamaForCausalLM, recipe: Recipe) -> torch.optim.AdamW:
-    matrices = [value for value in model.parameters() if value.ndim > 1]
-    vectors = [value for value in model.parameters() if value.ndim == 1]
-    groups = [
-        {"params": matrices, "weight_decay": recipe.weight_decay},
-        {"params": vectors, "weight_decay": 0.0},
-    ]
-    return torch.optim.AdamW(groups, lr=recipe.learning_rate, betas=(0.9, 0.97), fused=True)
+def _optimizers(model: LlamaForCausalLM, recipe: Recipe) -> list[torch.optim.Optimizer]:
+    """Muon for the matrices inside the layers, AdamW for the embedding and the norms."""
+    inner = [value for name, value in model.named_parameters() if _is_inner(name, value)]
+    rest = [value for name, value in model.named_parameters() if not _is_inner(name, value)]
+    muon = torch.optim.Muon(
+        inner, lr=recipe.learning_rate, weight_decay=recipe.weight_decay,
+        adjust_lr_fn="match_rms_adamw",
+    )
+    adam = torch.optim.AdamW(
+        rest, lr=recipe.embedding_rate, weight_decay=0.0, betas=(0.9, 0.97), fused=True
+    )
+    return [muon, adam]
+
+
+def _is_inner(name: str, value: torch.Tensor) -> bool:
+    return value.ndim == 2 and "layers." in name
 
 
 def _rate(step: int, recipe: Recipe) -> float:
@@ -190,7 +205,9 @@ def _loss(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
     return cross_entropy(logits.float().flatten(0, 1), batch.targets().flatten())
 
 
-def train(training: Training, measure_every: int, stop_at: int | None = None) -> None:
+def train(
+    training: Training, measure_every: int, judge_sets: int = 40, stop_at: int | None = None
+) -> None:
     """Train to the recipe's end (or ``stop_at``), measuring and saving on the way."""
     recipe = training.recipe
     stream = batches(
@@ -211,16 +228,16 @@ def train(training: Training, measure_every: int, stop_at: int | None = None) ->
             bar.set_postfix(loss=f"{loss:.3f}", refresh=False)
             if training.step % measure_every == 0 or training.step == end:
                 training.save()
-                _log(training, loss)
+                _log(training, loss, judge_sets)
 
 
-def _log(training: Training, loss: float) -> None:
+def _log(training: Training, loss: float, judge_sets: int) -> None:
     row = {
         "step": training.step,
         "tokens": training.step * training.recipe.rows * training.recipe.length,
         "cpu_seconds": round(time.process_time()),
         "training_loss": loss,
-        **training.measure(),
+        **training.measure(judge_sets),
     }
     path = training.work / "progress.csv"
     new = not path.exists()
@@ -230,6 +247,28 @@ def _log(training: Training, loss: float) -> None:
             writer.writeheader()
         writer.writerow({k: f"{v:.4f}" if isinstance(v, float) else v for k, v in row.items()})
     tqdm.write(json.dumps(row))
+    _plot(path)
+
+
+def _plot(progress: Path) -> None:
+    """Draw the losses, and what the held-out frames say, beside the numbers."""
+    from matplotlib.figure import Figure
+
+    with progress.open(encoding="utf-8", newline="") as lines:
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(lines)]
+    tokens = [row["tokens"] / 1e6 for row in rows]
+    figure = Figure(figsize=(9, 3.2), layout="constrained")
+    panels = {
+        "nats per token": ("training_loss", "held_out_loss"),
+        "share right, held-out frames": ("accuracy", "calibrated_accuracy", "best_accuracy"),
+        "nats, held-out frames": ("nll", "bias_spread"),
+    }
+    for axes, (title, keys) in zip(figure.subplots(1, 3), panels.items(), strict=True):
+        for key in keys:
+            axes.plot(tokens, [row[key] for row in rows], marker=".", label=key.replace("_", " "))
+        axes.set(title=title, xlabel="million tokens read", ylim=(0, None))
+        axes.legend(fontsize=7)
+    figure.savefig(progress.with_suffix(".png"), dpi=110)
 
 
 def export(training: Training, folder: Path) -> None:
@@ -257,6 +296,7 @@ def export(training: Training, folder: Path) -> None:
 @click.option("--inner", default=Recipe.inner, show_default=True)
 @click.option("--heads", default=Recipe.heads, show_default=True)
 @click.option("--learning-rate", default=Recipe.learning_rate, show_default=True)
+@click.option("--embedding-rate", default=Recipe.embedding_rate, show_default=True)
 @click.option("--weight-decay", default=Recipe.weight_decay, show_default=True)
 @click.option("--dropout", default=Recipe.dropout, show_default=True)
 @click.option("--average", default=Recipe.average, show_default=True)
