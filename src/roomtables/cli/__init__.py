@@ -5,7 +5,8 @@ from __future__ import annotations
 import click
 
 from roomtables.cli.common import Group
-from roomtables.cli.labelling import classify, evaluate_command
+from roomtables.cli.evaluating import evaluate_command
+from roomtables.cli.labelling import classify
 from roomtables.cli.scenes import label, rooms, show
 from roomtables.cli.serve import serve
 from roomtables.cli.spaces import labels

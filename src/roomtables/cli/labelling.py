@@ -1,4 +1,4 @@
-"""Commands that label rooms and judge the labels: classify, evaluate."""
+"""Commands that label rooms: classify."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.scenes import Warnings, house_labels, labelspace_option, mapping_option
-from roomtables.evaluation import Evaluation, evaluate
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.rooms import Room
@@ -107,45 +106,3 @@ def _record(room: Room, prediction: Prediction, top: int | None) -> dict[str, An
     if top:
         record["probabilities"] = dict(prediction.top(top))
     return record
-
-
-@click.command("evaluate")
-@click.argument("rooms_file", metavar="ROOMS", type=click.Path(path_type=Path, dir_okay=False))
-@tables_option
-@labels_option
-@decision_options
-@format_option("table", "json")
-@output_option
-def evaluate_command(
-    rooms_file: Path,
-    tables: Path,
-    labels: str,
-    format_: str,
-    output: Path | None,
-    **decision: Any,
-) -> None:
-    """Compare answers with the true labels of ROOMS (room lines).
-
-    \b
-    Example:
-      roomtables evaluate rooms.jsonl --rule pooled
-    """
-    result = evaluate(rooms_file, RoomTables.open(tables, labels, **decision))
-    emit(as_json(result.as_json()) if format_ == "json" else _summary(result), output)
-
-
-def _summary(result: Evaluation) -> str:
-    rows = [{"room": label, **row} for label, row in result.per_room().items()]
-    baselines = result.baselines()
-    found = result.as_json()
-    lines = [
-        f"{result.correct} of {result.rooms} rooms right: {result.accuracy:.1%} "
-        f"(macro {result.macro_accuracy:.1%}), rule {result.rule}, source {result.source}",
-        f"baselines: uniform {baselines['uniform']:.1%}, majority {baselines['majority']:.1%}",
-        f"answered by: {_counts(found['answered_by'])}; left out: {_counts(found['skipped'])}",
-    ]
-    return "\n".join(lines) + "\n\n" + render(rows, "table")
-
-
-def _counts(counts: dict[str, int]) -> str:
-    return ", ".join(f"{what} {n}" for what, n in sorted(counts.items())) or "none"

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from roomtables.errors import InputError
+from roomtables.evaluation import statistics
 from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
@@ -17,6 +21,7 @@ from roomtables.rooms import Room, read_room_lines
 NO_TRUTH = "no true label"
 NOT_A_CANDIDATE = "true label is not a candidate"
 NO_OBJECTS = "no objects"
+TOP = 3
 
 
 @dataclass(frozen=True)
@@ -84,8 +89,54 @@ class Evaluation:
         commonest = max(row["rooms"] for row in self.per_room().values())
         return {"uniform": 1 / len(self.candidates), "majority": commonest / self.rooms}
 
-    def as_json(self) -> dict[str, Any]:
-        """The evaluation under the contract's keys."""
+    @property
+    def condition(self) -> str:
+        """``rule:source``."""
+        return f"{self.rule}:{self.source}"
+
+    @property
+    def outcomes(self) -> NDArray[np.bool_]:
+        """Right or wrong, one per evaluated room."""
+        return np.array([judged.correct for judged in self.judged])
+
+    def reliability(self) -> list[statistics.Bin]:
+        """How often the answers given are right, by how probable they were said to be."""
+        return statistics.reliability(*self._answered())
+
+    def risk_coverage(self) -> list[statistics.Operating]:
+        """What answering only from a probability on would do: coverage, and the share right."""
+        return statistics.risk_coverage(*self._answered(), rooms=self.rooms)
+
+    def _answered(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Probability and outcome of the rooms that were answered."""
+        answered = [judged for judged in self.judged if judged.prediction.room is not None]
+        probabilities = [judged.prediction.probability or 0.0 for judged in answered]
+        return np.array(probabilities), np.array([judged.correct for judged in answered], bool)
+
+    @property
+    def top_accuracy(self) -> float:
+        """Share of rooms with a true label among the three most probable."""
+        hits = sum(
+            any(room in judged.truth for room, _ in judged.prediction.top(TOP))
+            for judged in self.judged
+        )
+        return hits / self.rooms
+
+    def statistics(self) -> dict[str, Any]:
+        """Confidence interval, top-3 accuracy, calibration, and risk against coverage."""
+        bins, points = self.reliability(), self.risk_coverage()
+        return {
+            "accuracy_interval": statistics.bootstrap_interval(self.outcomes).as_json(),
+            "top_3_accuracy": self.top_accuracy,
+            "expected_calibration_error": statistics.expected_calibration_error(bins),
+            "reliability": statistics.as_records(bins),
+            "area_under_risk_coverage": statistics.area_under_risk(points),
+            "risk_coverage": statistics.as_records(points),
+        }
+
+    def as_json(self, *, statistics: bool = False) -> dict[str, Any]:
+        """The evaluation under the contract's keys; on request with its ``statistics``."""
+        extra = {"statistics": self.statistics()} if statistics else {}
         return {
             "rooms": self.rooms,
             "correct": self.correct,
@@ -98,6 +149,7 @@ class Evaluation:
             "baselines": self.baselines(),
             "answered_by": dict(Counter(j.prediction.answered_by for j in self.judged)),
             "skipped": dict(self.skipped),
+            **extra,
         }
 
 

@@ -1,0 +1,1 @@
+"""Results for people: pictures, and one page that holds everything."""

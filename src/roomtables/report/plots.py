@@ -1,0 +1,169 @@
+"""Pictures of evaluations: the only module that draws with matplotlib, loaded when asked for."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomtables.errors import InputError, MissingExtraError
+from roomtables.evaluation import Evaluation
+from roomtables.evaluation.sweep import Sweep, SweepPoint
+from roomtables.schemas import POOLED, PROXY
+from roomtables.store import write_aside
+
+FORMATS = (".png", ".svg")
+_COLOURS = ("#4269d0", "#efb118", "#ff725c", "#6cc5b0", "#3ca951", "#ff8ab7", "#a463f2", "#97bbf5")
+_DOTS_PER_INCH = 130
+
+
+def check_plot(path: Path) -> None:
+    """See, before any work, that a picture can be drawn to a path.
+
+    Raises
+    ------
+    InputError
+        The path does not end in .png or .svg.
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    if path.suffix.casefold() not in FORMATS:
+        raise InputError(f"cannot draw to {path}: give a file that ends in .png or .svg")
+    _figure(1, 1)
+
+
+def save(figure: Any, path: Path) -> None:
+    """Write a figure whole; its file name says the format."""
+    write_aside(path, rendered(figure, path.suffix.casefold().removeprefix(".")))
+
+
+def rendered(figure: Any, format_: str) -> bytes:
+    """A figure as PNG or SVG; the same figure gives the same bytes."""
+    import matplotlib
+
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if format_ == "svg" else {}
+    with matplotlib.rc_context({"svg.hashsalt": "roomtables", "svg.fonttype": "none"}):
+        figure.savefig(buffer, format=format_, metadata=metadata, dpi=_DOTS_PER_INCH)
+    return buffer.getvalue()
+
+
+def per_room_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()) -> Any:
+    """The paper's bar chart: accuracy by true room label, one bar per condition."""
+    names = names or [found.condition for found in evaluations]
+    tables = [found.per_room() for found in evaluations]
+    rooms = sorted({room for table in tables for room in table})
+    figure = _figure(max(6.0, 0.34 * len(rooms) * max(1.0, len(names) / 2.5) + 1.5), 4.2)
+    axes = figure.add_subplot()
+    width = 0.84 / len(names)
+    for number, (name, found, table) in enumerate(zip(names, evaluations, tables, strict=True)):
+        at = np.arange(len(rooms)) + (number - (len(names) - 1) / 2) * width
+        heights = [100 * table[room]["accuracy"] if room in table else 0 for room in rooms]
+        label = f"{name}: {found.accuracy:.1%} of {found.rooms}"
+        axes.bar(at, heights, width, label=label, color=_COLOURS[number % len(_COLOURS)])
+    counts = {room: row["rooms"] for table in tables for room, row in table.items()}
+    axes.set_xticks(
+        np.arange(len(rooms)), [f"{room} ({counts[room]})" for room in rooms], rotation=60,
+        ha="right", rotation_mode="anchor",
+    )  # fmt: skip
+    axes.set(ylabel="accuracy (%)", ylim=(0, 100), xlim=(-0.6, len(rooms) - 0.4))
+    axes.yaxis.grid(alpha=0.3)
+    axes.set_axisbelow(True)
+    figure.legend(loc="outside upper center", ncols=min(2, len(names)), frameon=False)
+    return figure
+
+
+def calibration_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()) -> Any:
+    """Left the reliability diagram, right the share wrong against the share answered."""
+    names = names or [found.condition for found in evaluations]
+    figure = _figure(9.0, 4.2)
+    left, right = figure.subplots(1, 2)
+    left.plot([0, 1], [0, 1], color="0.6", linestyle=":", label="calibrated")
+    for number, (name, found) in enumerate(zip(names, evaluations, strict=True)):
+        colour = _COLOURS[number % len(_COLOURS)]
+        bins = found.reliability()
+        left.plot(
+            [b.mean_probability for b in bins], [b.accuracy for b in bins], color=colour, zorder=3
+        )
+        sizes = [12 + 200 * b.rooms / found.rooms for b in bins]
+        left.scatter(
+            [b.mean_probability for b in bins], [b.accuracy for b in bins], s=sizes, color=colour,
+            alpha=0.6, label=name, zorder=3,
+        )  # fmt: skip
+        points = found.risk_coverage()
+        right.plot(
+            [p.coverage for p in points], [1 - p.accuracy for p in points], color=colour, label=name
+        )
+    left.set(xlabel="probability of the answer", ylabel="share right", xlim=(0, 1), ylim=(0, 1))
+    right.set(xlabel="share of rooms answered", ylabel="share wrong", xlim=(0, 1), ylim=(0, 1))
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False, fontsize="small", loc="upper left")
+    return figure
+
+
+def sweep_figure(sweep: Sweep) -> Any:
+    """Left accuracy over λ and γ of rule pooled, source proxy; right over k, by rule and source."""
+    figure = _figure(9.6, 4.4)
+    left, right = figure.subplots(1, 2, width_ratios=(1.2, 1))
+    _draw_grid(left, [p for p in sweep.points if _in_grid(p)])
+    styles = iter(_COLOURS)
+    for name, points in _lines_over_k(sweep.points):
+        ks, accuracies = [p.k for p in points], [100 * p.accuracy for p in points]
+        right.plot(ks, accuracies, marker="o", label=name, color=next(styles, "0.3"))
+    right.set(xlabel="k, most informative objects used", ylabel="accuracy (%)", ylim=(0, 100))
+    right.xaxis.get_major_locator().set_params(integer=True)
+    right.grid(alpha=0.3)
+    right.legend(frameon=False, fontsize="x-small")
+    return figure
+
+
+def _in_grid(point: SweepPoint) -> bool:
+    return (point.rule, point.source, point.k) == (POOLED, PROXY, None)
+
+
+def _draw_grid(axes: Any, points: Sequence[SweepPoint]) -> None:
+    first = [p for p in points if points and p.reduction == points[0].reduction]
+    weights = sorted({p.prior_weight or 0.0 for p in first})
+    powers = sorted({p.evidence_power or 0.0 for p in first})
+    cells = np.full((len(powers), len(weights)), np.nan)
+    for p in first:
+        row, column = powers.index(p.evidence_power or 0.0), weights.index(p.prior_weight or 0.0)
+        cells[row, column] = 100 * p.accuracy
+        axes.text(column, row, f"{100 * p.accuracy:.1f}", ha="center", va="center", fontsize=9)
+    if first:
+        # Twice the best as the top of the scale keeps every cell light enough for black figures.
+        highest = 2 * float(np.nanmax(cells))
+        axes.imshow(cells, origin="lower", cmap="YlGn", aspect="auto", vmin=0, vmax=highest or 1)
+    axes.set_xticks(range(len(weights)), [f"{w:g}" for w in weights])
+    axes.set_yticks(range(len(powers)), [f"{p:g}" for p in powers])
+    axes.set(xlabel="λ, prior weight", ylabel="γ, evidence power")
+    axes.set_title("rule pooled, source proxy: accuracy (%)", fontsize="medium")
+
+
+def _lines_over_k(points: Sequence[SweepPoint]) -> Iterator[tuple[str, list[SweepPoint]]]:
+    """One line per rule, source, λ and γ; of rule ``calibrated`` only its best λ."""
+    lines: dict[tuple[Any, ...], list[SweepPoint]] = {}
+    for p in points:
+        if p.k is not None:
+            key = (p.rule, p.source, p.reduction, p.prior_weight, p.evidence_power)
+            lines.setdefault(key, []).append(p)
+    best: dict[tuple[Any, ...], tuple[Any, ...]] = {}
+    for key, line in lines.items():
+        held = best.get(key[:3])
+        if held is None or line[-1].accuracy > lines[held][-1].accuracy:
+            best[key[:3]] = key
+    for key in best.values():
+        weight = "" if key[3] is None else f", λ {key[3]:g}"
+        yield f"{key[0]}, {key[1]}, {key[2]}{weight}", lines[key]
+
+
+def _figure(width: float, height: float) -> Any:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError("drawing a picture", "report") from error
+    return Figure(figsize=(width, height), layout="constrained")

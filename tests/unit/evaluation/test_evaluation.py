@@ -1,0 +1,169 @@
+"""Judging, comparing and sweeping, on tables that a few lines of arithmetic scored."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from roomtables import RoomTables, evaluate
+from roomtables.cli import main
+from roomtables.errors import InputError, StoreError
+from roomtables.evaluation.comparison import compare, parse_conditions
+from roomtables.evaluation.sweep import EVIDENCE_POWERS, PRIOR_WEIGHTS, sweep
+from roomtables.rooms import Room
+from tiny_tables import build_tables
+
+ROOMS = [
+    Room("1", ("bed", "lamp"), ("bedroom",)),
+    Room("2", ("oven", "fridge"), ("kitchen",)),
+    Room("3", ("chair",), ("kitchen", "office")),
+    Room("4", ("stove",), ("office",)),
+    Room("5", ("piano",), ("bedroom",)),
+    Room("6", (), ("bedroom",)),
+    Room("7", ("bed",), ("stable",)),
+    Room("8", ("bed",), ()),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return build_tables(tmp_path_factory.mktemp("evaluation"))
+
+
+@pytest.fixture(scope="module")
+def tables(folder):
+    return RoomTables.open(folder, "flat", offline=True)
+
+
+def test_base_json_keys_are_the_contract(tables):
+    found = evaluate(ROOMS, tables)
+    assert list(found.as_json()) == [
+        "rooms", "correct", "accuracy", "macro_accuracy", "rule", "source", "per_room",
+        "confusion", "baselines", "answered_by", "skipped",
+    ]  # fmt: skip
+    assert [*found.as_json(), "statistics"] == list(found.as_json(statistics=True))
+    assert found.rooms == 5
+    assert found.skipped == {
+        "no objects": 1, "no true label": 1, "true label is not a candidate": 1,
+    }  # fmt: skip
+    # The unanswered room of a piano is wrong, and its probability no part of the calibration.
+    assert not found.judged[4].correct
+    assert sum(b.rooms for b in found.reliability()) == 4
+    assert max(p.coverage for p in found.risk_coverage()) == pytest.approx(4 / 5)
+
+
+def test_rooms_whose_labels_no_space_has_are_an_error_that_counts_them(tables):
+    with pytest.raises(InputError, match="not a candidate: 2"):
+        evaluate([Room("1", ("bed",), ("stable",)), Room("2", ("bed",), ("barn",))], tables)
+
+
+def test_top_three_of_three_candidates_is_everything_answered(tables):
+    assert evaluate(ROOMS, tables).top_accuracy == pytest.approx(4 / 5)
+
+
+def test_a_comparison_judges_the_same_rooms(tables):
+    found = compare(ROOMS, tables, parse_conditions("query:proxy,pooled:proxy"))
+    assert [e.condition for e in found.evaluations] == ["query:proxy", "pooled:proxy"]
+    single = evaluate(ROOMS, tables.deciding(rule="pooled"))
+    assert found.evaluations[1].as_json() == single.as_json()
+    (test,) = found.paired_tests()
+    a, b = (e.outcomes for e in found.evaluations)
+    assert (test.only_first, test.only_second) == (np.sum(a & ~b), np.sum(~a & b))
+    assert test.difference == pytest.approx(a.mean() - b.mean())
+
+
+@pytest.mark.parametrize("text", ["pooled", "best:proxy", "pooled:guess", "", "pooled:proxy,"])
+def test_a_condition_that_is_none_is_refused(text):
+    with pytest.raises(InputError, match="RULE:SOURCE"):
+        parse_conditions(text)
+
+
+def test_a_source_that_the_tables_lack_is_refused(tables):
+    with pytest.raises(StoreError, match="--counts"):
+        compare(ROOMS, tables, [("pooled", "ground_truth")])
+
+
+def test_a_sweep_is_the_evaluations_of_its_settings(tables):
+    found = sweep(ROOMS, tables)
+    grid = [p for p in found.points if p.rule == "pooled" and p.k is None and p.reduction == "sum"]
+    assert len(grid) == len(PRIOR_WEIGHTS) * len(EVIDENCE_POWERS)
+    for point in grid:
+        settings = {"prior_weight": point.prior_weight, "evidence_power": point.evidence_power}
+        alone = evaluate(ROOMS, tables.deciding(rule="pooled", **settings))
+        assert (point.correct, point.accuracy) == (alone.correct, alone.accuracy)
+    asked = {p.k: p.correct for p in found.points if p.rule == "query"}
+    assert asked[3] == evaluate(ROOMS, tables.deciding(rule="query")).correct
+    assert set(asked) == {1, 2, 3}
+
+
+def test_a_sweep_over_the_reduction_is_a_build_of_the_other(tables, tmp_path):
+    from roomtables import build
+    from tiny_tables import FitScorer, write_labels
+
+    labels = str(write_labels(tmp_path))
+    build(tables=tmp_path / "t", scorer=FitScorer(), labels=labels, reduction="mean")
+    built = RoomTables.open(tmp_path / "t", "flat", offline=True)
+    alone = evaluate(ROOMS, built.deciding(rule="pooled"))
+    found = [p for p in sweep(ROOMS, tables).points if p.reduction == "mean"]
+    assert [p.correct for p in found if p.k is None] == [alone.correct]
+
+
+def test_a_sweep_says_what_it_cannot_vary(tmp_path):
+    tables = RoomTables.open(build_tables(tmp_path, "none"), "flat", offline=True)
+    found = sweep(ROOMS, tables)
+    assert not [p for p in found.points if p.rule != "pooled"]
+    assert any("combinations" in note for note in found.notes)
+
+
+@pytest.fixture
+def rooms_file(tmp_path):
+    path = tmp_path / "rooms.jsonl"
+    path.write_text("".join(json.dumps(room.as_json()) + "\n" for room in ROOMS))
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_evaluate_command(folder, rooms_file, tmp_path):
+    common = ("evaluate", rooms_file, "--tables", folder, "--labels", "flat", "--offline")
+    plain = json.loads(run(*common, "--format", "json").stdout)
+    assert "statistics" not in plain
+    assert plain["rooms"] == 5
+    assert "95 % interval" in run(*common).stdout
+    chart = tmp_path / "rooms.svg"
+    compared = run(*common, "--compare", "query:proxy,calibrated:proxy", "--plot", chart)
+    assert "McNemar" in compared.stdout
+    assert "bedroom" in chart.read_text()
+    calibration = tmp_path / "calibration.png"
+    found = run(*common, "--format", "json", "--compare", "pooled:proxy,query:proxy",
+                "--plot-calibration", calibration)  # fmt: skip
+    assert set(json.loads(found.stdout)) == {"conditions", "paired_tests"}
+    assert calibration.read_bytes()[1:4] == b"PNG"
+
+
+def test_sweep_command_draws(folder, rooms_file, tmp_path):
+    common = ("evaluate", rooms_file, "--tables", folder, "--labels", "flat", "--offline")
+    for suffix in ("svg", "png"):
+        path = tmp_path / f"sweep.{suffix}"
+        found = run(*common, "--sweep", "--plot", path)
+        assert found.exit_code == 0, found.output
+        assert path.stat().st_size > 1000
+    assert "not varied: k above 3" in found.stdout
+    assert run(*common, "--sweep", "--compare", "query:proxy").exit_code == 2
+
+
+def test_a_picture_of_no_format_is_refused_before_the_work(folder, rooms_file, tmp_path):
+    found = run("evaluate", rooms_file, "--tables", folder, "--labels", "flat", "--plot", "a.pdf")
+    assert (found.exit_code, found.stdout) == (1, "")
+    assert ".png or .svg" in found.stderr
+
+
+def test_a_picture_is_the_same_bytes_twice(folder, rooms_file, tmp_path):
+    common = ("evaluate", rooms_file, "--tables", folder, "--labels", "flat", "--offline", "--plot")
+    paths = [tmp_path / "one.svg", tmp_path / "two.svg"]
+    for path in paths:
+        assert run(*common, path).exit_code == 0
+    assert paths[0].read_bytes() == paths[1].read_bytes()

@@ -1,0 +1,74 @@
+"""The figures that this project stands on, from GPT-J's released table and 523 real rooms."""
+
+import json
+
+import pytest
+
+from roomtables import RoomTables, build, evaluate
+from roomtables.evaluation.sweep import sweep
+
+
+@pytest.fixture(scope="module")
+def data(shared_data):
+    return shared_data / "matterport3d"
+
+
+@pytest.fixture(scope="module")
+def tables(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gpt-j")
+    build(
+        tables=folder,
+        counts=data / "mpcat40_room_object_counts.csv",
+        scores=data / "mpcat40_gpt_j_mean_log_prob.csv",
+        combinations="none",
+    )
+    return RoomTables.open(folder, offline=True)
+
+
+def test_pooled_proxy_at_the_defaults(tables, data):
+    found = evaluate(data / "mpcat40_rooms_test.jsonl", tables.deciding(rule="pooled"))
+    assert (found.correct, found.rooms) == (307, 523)
+    assert found.as_json()["answered_by"] == {"table": 523}
+
+
+def test_the_sweep_is_the_known_table(tables, data):
+    points = sweep(data / "mpcat40_rooms_test.jsonl", tables).points
+    grid = {
+        (p.prior_weight, p.evidence_power): round(100 * p.accuracy, 1)
+        for p in points
+        if (p.rule, p.source, p.k) == ("pooled", "proxy", None)
+    }
+    assert (grid[0.0, 0.0], grid[1.0, 0.0]) == (45.5, 47.2)
+    assert [grid[weight, 3.0] for weight in (0.0, 0.5, 0.75, 1.0)] == [53.5, 58.7, 57.4, 50.9]
+    counted = {
+        p.k: round(100 * p.accuracy, 1)
+        for p in points
+        if p.source == "ground_truth" and p.evidence_power == 3.0
+    }
+    assert counted.keys() == {None, 1, 2, 3}
+
+
+def test_naive_products_of_the_single_object_scores(tables, data):
+    """Σ L over the k most informative objects and over all: λ = 0, γ = 0."""
+    rooms = data / "mpcat40_rooms_test.jsonl"
+    naive = tables.deciding(rule="pooled", prior_weight=0.0, evidence_power=0.0)
+    assert round(100 * evaluate(rooms, naive).accuracy, 1) == 45.5
+    counts = naive.deciding(source="ground_truth")
+    assert round(100 * evaluate(rooms, counts).accuracy, 1) == 49.3
+
+
+@pytest.mark.parametrize(("source", "name"), [("ground_truth", "ground_truth"), ("proxy", "gpt_j")])
+def test_the_selection_of_objects_is_the_authors(data, tmp_path, source, name):
+    """523 of 523 rooms, with the mean per token that the authors' released code uses."""
+    build(
+        tables=tmp_path,
+        counts=data / "mpcat40_room_object_counts.csv",
+        scores=data / "mpcat40_gpt_j_mean_log_prob.csv",
+        combinations="none",
+        reduction="mean",
+    )
+    tables = RoomTables.open(tmp_path, source=source, offline=True)
+    rooms = [json.loads(line) for line in (data / "mpcat40_rooms_test.jsonl").open()]
+    expected = [json.loads(line) for line in (data / "mpcat40_expected_selection.jsonl").open()]
+    found = tables.classify_many([room["objects"] for room in rooms])
+    assert [list(p.objects) for p in found] == [row[name] for row in expected]
