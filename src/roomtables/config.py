@@ -77,7 +77,7 @@ class BuildConfig:
     dtype: str = "float32"
     device: str = "auto"
     scoring: str | None = None
-    token_budget: int = 4096
+    token_budget: int | None = None
     template: str = DEFAULT_TEMPLATE
     reduction: str = "sum"
     smoothing: float | None = None
@@ -102,7 +102,7 @@ class BuildConfig:
             raise ConfigError(f"k must be from 1 to 8, not {self.k}")
         if self.smoothing is not None and not 0 <= self.smoothing < float("inf"):
             raise ConfigError(f"smoothing must be 0 or more, not {self.smoothing}")
-        if self.token_budget < 1:
+        if self.token_budget is not None and self.token_budget < 1:
             raise ConfigError(f"token_budget must be 1 or more, not {self.token_budget}")
         check_decision(self.prior_weight, self.evidence_power)
         Template(self.template)
