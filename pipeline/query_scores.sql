@@ -3,21 +3,22 @@ with scored as (
     select
         queries.source,
         queries.key,
-        queries.objects,
         queries.room_position,
         case (select reduction from parameters)
             when 'mean' then sentence_scores.log_prob / sentence_scores.token_count
             else sentence_scores.log_prob
-        end as score
+        end::float as score
     from queries
-    join sentence_scores on sentence_scores.sentence = queries.sentence
+    join sentence_scores using (sentence)
+),
+
+per_combination as (
+    select source, key, list(score order by room_position) as scores
+    from scored
+    group by source, key
 )
 
-select
-    source,
-    key,
-    any_value(objects) as objects,
-    list(score::float order by room_position) as scores
-from scored
-group by source, key
+select combinations.source, combinations.key, combinations.objects, per_combination.scores
+from combinations
+join per_combination using (source, key)
 order by source, key

@@ -1,6 +1,6 @@
 -- Every combination that was asked for is there once, with one finite score per predicted room.
 select coalesce(expected.source, found.source) as source, coalesce(expected.key, found.key) as key
-from (select distinct source, key from queries) as expected
+from combinations as expected
 full join query_scores as found
     on found.source = expected.source and found.key = expected.key
 where expected.key is null

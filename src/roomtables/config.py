@@ -90,6 +90,7 @@ class BuildConfig:
     counts: Path | None = None
     scores: Path | None = None
     engine: str = "local"
+    workers: int = 0
     full_refresh: bool = False
     stages: tuple[str, ...] = field(default=())
 
@@ -104,6 +105,8 @@ class BuildConfig:
             raise ConfigError(f"smoothing must be 0 or more, not {self.smoothing}")
         if self.token_budget is not None and self.token_budget < 1:
             raise ConfigError(f"token_budget must be 1 or more, not {self.token_budget}")
+        if self.workers < 0:
+            raise ConfigError(f"workers must be 0 (as many as fit) or more, not {self.workers}")
         check_decision(self.prior_weight, self.evidence_power)
         Template(self.template)
 
@@ -149,6 +152,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 _TYPES: Mapping[str, tuple[type, ...]] = {
     "k": (int,),
     "token_budget": (int,),
+    "workers": (int,),
     "smoothing": (int, float),
     "prior_weight": (int, float),
     "evidence_power": (int, float),

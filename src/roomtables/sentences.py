@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from roomtables.errors import ConfigError
 from roomtables.labels import ObjectLabel, RoomLabel
 
+_OBJECTS, _ROOM = "\0objects\0", "\0room\0"  # no label holds a NUL
 DEFAULT_TEMPLATE = "A room containing {objects} is called {room}."
 
 
@@ -48,5 +49,16 @@ class Template:
 
     def compose(self, objects: Sequence[ObjectLabel], rooms: Sequence[RoomLabel]) -> list[str]:
         """One sentence per room, all with the same objects, in the order given."""
+        before, after = self.around_room(objects)
+        return [before + room.phrase + after for room in rooms]
+
+    def around_room(self, objects: Sequence[ObjectLabel]) -> tuple[str, str]:
+        """What a sentence with these objects says before its room, and after it."""
         nouns = enumerate_nouns([label.plural for label in objects])
-        return [self.text.format(objects=nouns, room=room.phrase) for room in rooms]
+        before, after = self._halves
+        return before.replace(_OBJECTS, nouns), after.replace(_OBJECTS, nouns)
+
+    @property
+    def _halves(self) -> tuple[str, str]:
+        before, _, after = self.text.format(objects=_OBJECTS, room=_ROOM).partition(_ROOM)
+        return before, after

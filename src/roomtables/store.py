@@ -11,18 +11,20 @@ file. This module needs no pyarrow and no duckdb.
 
 from __future__ import annotations
 
-import fcntl
+import hashlib
 import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from roomtables.errors import StoreError
+from roomtables.files import check_name, refuse_outside, writing
+from roomtables.locks import is_held
 from roomtables.schemas import SCHEMA_VERSION
 
 MANIFEST = "manifest.json"
@@ -46,6 +48,13 @@ def write_aside(path: Path, data: bytes) -> None:
         raise StoreError(f"cannot write {path}: {error.strerror}") from error
 
 
+def file_facts(path: Path) -> dict[str, Any]:
+    """Size and SHA-256 of a file, as a manifest notes them."""
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return {"bytes": path.stat().st_size, "sha256": digest}
+
+
 @dataclass(frozen=True)
 class Version:
     """One published version: its folder and its manifest."""
@@ -62,6 +71,19 @@ class Version:
         """When the version was published, in UTC."""
         return datetime.fromisoformat(self.manifest["created"])
 
+    def verify(self) -> None:
+        """Compare every file with the size and the hash that the manifest notes.
+
+        Raises
+        ------
+        StoreError
+            A file is missing, cut, or has a bit flipped; the message names it.
+        """
+        for name, noted in self.manifest.get("files", {}).items():
+            path = self.path / name
+            if not path.is_file() or file_facts(path) != noted:
+                raise StoreError(f"{path} is damaged; run `roomtables build` to make it again")
+
     @classmethod
     def open(cls, path: Path) -> Version:
         """The version in a folder.
@@ -72,6 +94,7 @@ class Version:
             Its manifest is missing, damaged, or of another schema version.
         """
         manifest_path = path / MANIFEST
+        refuse_outside(path.parent.parent, path, manifest_path, path / LOOKUP)
         try:
             manifest = json.loads(manifest_path.read_bytes())
             schema_version = manifest["schema_version"]
@@ -95,6 +118,7 @@ class SpaceFolder:
     """The versions of one label space under a tables folder."""
 
     def __init__(self, tables: Path, labels: str) -> None:
+        check_name(tables / labels)
         self.labels = labels
         self.path = tables / labels
 
@@ -107,6 +131,7 @@ class SpaceFolder:
             Nothing is published, ``CURRENT`` names nothing, or the version cannot be opened.
         """
         pointer = self.path / CURRENT
+        refuse_outside(self.path.parent, self.path, pointer)
         try:
             name = pointer.read_text(encoding="utf-8").strip()
         except FileNotFoundError:
@@ -148,69 +173,63 @@ class SpaceFolder:
             raise StoreError(f"{target} exists already; run `roomtables gc`, then build again")
         text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False)
         write_aside(staging / MANIFEST, text.encode())
-        os.replace(staging, target)
-        write_aside(self.path / CURRENT, f"{name}\n".encode())
-        return Version.open(target)
+        with writing(target):
+            os.replace(staging, target)
+        return self.point_at(target)
+
+    def point_at(self, version: Path) -> Version:
+        """Make a version the published one."""
+        write_aside(self.path / CURRENT, f"{version.name}\n".encode())
+        return Version.open(version)
+
+    def before(self, version: Version) -> Version:
+        """The newest version that is older than the given one.
+
+        Raises
+        ------
+        StoreError
+            There is none, or it cannot be opened.
+        """
+        older = [path for path in self.versions() if path.name < version.name]
+        if not older:
+            raise StoreError(
+                f"{version.path} is the oldest version of {self.labels}; nothing came before it; "
+                "see `roomtables status`"
+            )
+        return Version.open(older[-1])
 
     @contextmanager
     def staging(self) -> Iterator[Path]:
         """A folder to write a version aside in; whatever is left of it at the end is removed."""
-        self.path.mkdir(parents=True, exist_ok=True)
+        refuse_outside(self.path.parent, self.path)
+        with writing(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
         for abandoned in self.path.glob(f"{_STAGING}*"):
             shutil.rmtree(abandoned, ignore_errors=True)
         folder = self.path / f"{_STAGING}{os.getpid()}"
         try:
-            folder.mkdir()
+            with writing(folder):
+                folder.mkdir()
             yield folder
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
     def remove_old(self, keep: int = KEPT_VERSIONS) -> list[str]:
-        """Remove all but the newest versions and the current one; the names of those removed."""
+        """Remove all but the newest versions, the current one, and those that a reader holds.
+
+        Returns the names of those removed. A manifest goes first: what is half removed is no
+        version any more.
+        """
         current = self.published()
         removed = []
-        for path in self.versions()[:-keep]:
-            if current is None or path != current.path:
-                shutil.rmtree(path, ignore_errors=True)
+        for path in self.versions()[: -max(keep, 1)]:
+            if (current is None or path != current.path) and not is_held(path):
+                with writing(path):
+                    (path / MANIFEST).unlink()
+                    shutil.rmtree(path)
                 removed.append(path.name)
         return removed
 
     def _others(self) -> str:
         names = sorted(path.parent.name for path in self.path.parent.glob(f"*/{CURRENT}"))
         return f" (there are tables for {', '.join(names)})" if names else ""
-
-
-@contextmanager
-def build_lock(tables: Path) -> Iterator[None]:
-    """Hold the one writer's lock of a tables folder; the system frees it if the process dies.
-
-    Raises
-    ------
-    StoreError
-        The folder cannot be written, or another build holds the lock.
-    """
-    try:
-        tables.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(tables / ".build-lock", os.O_RDWR | os.O_CREAT, 0o644)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write to {tables}: {error.strerror}; choose another with `--tables DIR`"
-        ) from error
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            holder = os.read(descriptor, 200).decode(errors="replace").strip() or "another process"
-            raise StoreError(
-                f"{tables} is being built by {holder}; wait for it, then run `roomtables build`"
-            ) from None
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"process {os.getpid()} since {utc_now()}\n".encode(), 0)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def utc_now() -> str:
-    """The time, in UTC, as ISO 8601 to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")

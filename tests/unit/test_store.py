@@ -5,8 +5,9 @@ import sys
 import pytest
 
 from roomtables.errors import StoreError
+from roomtables.locks import build_lock
 from roomtables.schemas import SCHEMA_VERSION
-from roomtables.store import MANIFEST, SpaceFolder, Version, build_lock, write_aside
+from roomtables.store import MANIFEST, SpaceFolder, Version, write_aside
 
 
 def publish(space, fingerprint="abcdef0123", **manifest):
@@ -85,7 +86,7 @@ def test_a_manifest_that_cannot_be_read(tmp_path, text, said):
 
 
 def test_one_build_at_a_time(tmp_path):
-    again = "import sys, pathlib; from roomtables.store import build_lock\n"
+    again = "import sys, pathlib; from roomtables.locks import build_lock\n"
     again += "with build_lock(pathlib.Path(sys.argv[1])): print('in')"
     with build_lock(tmp_path):
         run = subprocess.run(

@@ -7,22 +7,28 @@ sentence cache whatever happens.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import duckdb
 
 from roomtables.config import BuildConfig
-from roomtables.offline import queries, stages
+from roomtables.locks import build_lock, utc_now
+from roomtables.offline import stages, steps
 from roomtables.offline.cache import SentenceCache
+from roomtables.offline.decision import CACHED, decide
+from roomtables.offline.engine import score
+from roomtables.offline.fingerprints import combined, stage_fingerprints
 from roomtables.offline.inputs import Inputs
 from roomtables.offline.model import LazyScorer
-from roomtables.offline.scoring import missing_sentences, score_missing
+from roomtables.offline.scoring import Scored, Work, missing_sentences
+from roomtables.offline.stages import interruptible
 from roomtables.offline.twins import derive_twin
 from roomtables.schemas import SCHEMA_VERSION, VERSION_TABLES
 from roomtables.scorer import Scorer
-from roomtables.store import LOOKUP, SpaceFolder, Version, build_lock, utc_now
+from roomtables.store import LOOKUP, SpaceFolder, Version, file_facts
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,7 @@ def build(
     tables: str | Path = "tables",
     scorer: Scorer | None = None,
     progress: bool = False,
+    wait: bool = False,
     **options: Any,
 ) -> BuildReport:
     """Build and publish the tables of one label space; what is cached is not scored again.
@@ -60,6 +67,7 @@ def build(
     tables : the tables folder
     scorer : the language model; by default ``config.model``, loaded when something is to score
     progress : show progress bars on stderr
+    wait : where another process builds in this folder, wait for it instead of refusing
     options : settings by name (``labels="nyuclass"``, ``k=2``) that replace those of ``config``
 
     Raises
@@ -71,23 +79,46 @@ def build(
     config = replace(config, **options) if config else BuildConfig.load(**options)
     inputs = Inputs.read(config)
     model = LazyScorer(config, scorer)
-    fingerprint = inputs.fingerprint(model.scorer_id if inputs.needs_model else None)
+    scorer_id = model.scorer_id if inputs.needs_model else None
+    fingerprints = stage_fingerprints(inputs, scorer_id)
     root = Path(tables)
-    with build_lock(root):
+    with build_lock(root, wait):
         space = SpaceFolder(root, inputs.labels.name)
+        cache = open_cache(root, scorer_id)
         current = space.published()
-        if current and current.manifest["inputs"] == fingerprint and not config.full_refresh:
+        decided = decide(fingerprints, current, cache, config.full_refresh)
+        if current and all(stage.state == CACHED for stage in decided):
             return _report(current, 0, started, published=False)
-        with space.staging() as staging:
-            made = _Making(inputs, model, root, progress).run(staging)
-            manifest = made | {
-                "inputs": fingerprint,
+        making = _Making(inputs, model, cache, progress)
+        with interruptible(space.path), space.staging() as staging:
+            manifest = making.run(staging) | {
+                "inputs": combined(fingerprints),
+                "stages": {name: found._asdict() for name, found in fingerprints.items()},
+                "rate": making.rate(current),
                 "created": utc_now(),
                 "seconds": round(time.monotonic() - started, 3),
             }
-            version = space.publish(staging, space.new_name(fingerprint), manifest)
+            manifest["model"]["described"] = making.described(current)
+            version = space.publish(staging, space.new_name(manifest["inputs"]), manifest)
         space.remove_old()
     return _report(version, version.manifest["sentences_scored"], started, published=True)
+
+
+def open_cache(tables: Path, scorer_id: str | None) -> SentenceCache | None:
+    """The cache of a scorer, tidied: finished parts of a killed build taken in, parts verified.
+
+    Raises
+    ------
+    StoreError
+        A part is damaged; the message names it.
+    """
+    if scorer_id is None:
+        return None
+    cache = SentenceCache(tables, scorer_id)
+    cache.end_runs()
+    cache.verify()
+    cache.remove_retired()
+    return cache
 
 
 def _report(version: Version, scored: int, started: float, published: bool) -> BuildReport:
@@ -107,10 +138,10 @@ class _Making:
 
     inputs: Inputs
     model: LazyScorer
-    tables: Path
+    cache: SentenceCache | None
     progress: bool
     sentences: int = 0
-    scored: int = 0
+    scored: Scored = field(default_factory=Scored)
 
     def run(self, staging: Path) -> dict[str, Any]:
         """Make, check and write every table in ``staging``; returns the manifest's content."""
@@ -127,47 +158,61 @@ class _Making:
         finally:
             connection.close()
         stages.remove_workspace(staging)
-        return self._manifest() | {"rows": rows, "combinations": dict(combinations)}
+        files = sorted(path for path in staging.rglob("*") if path.is_file())
+        return self._manifest() | {
+            "rows": rows,
+            "combinations": dict(combinations),
+            "files": {path.relative_to(staging).as_posix(): file_facts(path) for path in files},
+        }
 
     def _make_tables(self, connection: duckdb.DuckDBPyConnection) -> None:
         """All tables, in the order of the stages."""
-        inputs = self.inputs
-        stages.load_labels_tables(connection, inputs.labels)
-        stages.load_pairs(connection, "counts", "count", inputs.counts)
-        stages.load_parameters(
-            connection, {"reduction": inputs.config.reduction, "smoothing": inputs.smoothing}
-        )
-        queries.create_tables(connection)
-        if inputs.scores is None:
-            queries.load_single_sentences(connection, inputs.labels, inputs.template)
-            self._score(connection, "select sentence from single_sentences")
-            stages.run_stage(connection, "single_scores")
-        else:
-            stages.load_pairs(connection, "single_scores", "score", inputs.scores)
-        for table in ("cooccurrence", "entropy", "room_bias"):
-            stages.run_stage(connection, table)
-        if inputs.config.combinations != "none":
-            queries.load_queries(connection, inputs)
-            self._score(
-                connection,
-                "select sentence from queries anti join single_sentences using (sentence)",
-            )
+        steps.prepare(connection, self.inputs)
+        if self.inputs.scores is None:
+            self._score(connection, steps.SINGLES)
+        steps.derive(connection, self.inputs)
+        if self.inputs.config.combinations != "none":
+            self._score(connection, steps.QUERIES)
         stages.run_stage(connection, "query_scores")
 
-    def _score(self, connection: duckdb.DuckDBPyConnection, needed: str) -> None:
-        """See that every sentence that ``needed`` selects is in view ``sentence_scores``."""
-        cache = SentenceCache(self.tables, self.model.scorer_id)
-        connection.execute(
-            f"create or replace temp table needed as select distinct * from ({needed})"
-        )
+    def _score(self, connection: duckdb.DuckDBPyConnection, sentences: str) -> None:
+        """See that every sentence that is selected is in view ``sentence_scores``."""
+        assert self.cache is not None  # whoever needs a sentence needs a model
+        self.sentences += steps.need(connection, sentences)
         if self.inputs.config.full_refresh:
-            cache.evict(connection, "needed")
-        missing = missing_sentences(connection, cache, "needed")
+            self.cache.evict(connection, "needed")
+        missing = missing_sentences(connection, self.cache, "needed")
         if missing:
-            score_missing(connection, cache, self.model.load(), missing, self.progress)
-        connection.execute(f"create or replace view sentence_scores as {cache.select()}")
-        self.scored += missing
-        self.sentences += int(connection.execute("select count(*) from needed").fetchall()[0][0])
+            work = Work(
+                connection, self.cache, self.model, self.inputs.config, missing, self.progress
+            )
+            self.scored += score(work)
+        select = self.cache.select()
+        connection.execute(f"create or replace view sentence_scores as {select}")
+
+    def rate(self, before: Version | None) -> Mapping[str, Any] | None:
+        """What scoring cost, for `plan` to go by: measured now, or noted by the version before."""
+        done = self.scored
+        if done.sentences and done.seconds > 0:
+            return {
+                "sentences_per_second": round(done.sentences / done.seconds, 1),
+                "tokens_per_sentence": round(done.tokens / done.sentences, 2),
+                "sentences": done.sentences,
+                "workers": done.workers,
+            }
+        return self._noted(before, "rate")
+
+    def described(self, before: Version | None) -> Mapping[str, Any]:
+        """Provenance of the model; of a model that had nothing to score, what was noted before."""
+        return self.model.describe() or (self._noted(before, "model") or {}).get("described", {})
+
+    def _noted(self, before: Version | None, key: str) -> Mapping[str, Any] | None:
+        same = before and before.manifest["query_scorer_id"] == self._scorer_id
+        return before.manifest.get(key) if before and same else None
+
+    @property
+    def _scorer_id(self) -> str | None:
+        return self.cache.scorer_id if self.cache else None
 
     def _sentence_settings(self) -> dict[str, Any]:
         config = self.inputs.config
@@ -175,9 +220,7 @@ class _Making:
 
     def _manifest(self) -> dict[str, Any]:
         inputs, config = self.inputs, self.inputs.config
-        scorer_id = self.model.scorer_id if inputs.needs_model else None
         imported = f"imported-{inputs.scores.fingerprint[:12]}" if inputs.scores else None
-        model = {name: getattr(config, name) for name in ("model", "revision", "dtype", "scoring")}
         return self._sentence_settings() | {
             "schema_version": SCHEMA_VERSION,
             "labels": inputs.labels.name,
@@ -185,14 +228,15 @@ class _Making:
             "objects": len(inputs.labels.objects),
             "rooms": len(inputs.labels.rooms),
             "predicted_rooms": len(inputs.labels.predicted_rooms),
-            "scorer_id": imported or scorer_id,
-            "query_scorer_id": scorer_id,
-            "model": model | {"described": dict(self.model.describe())},
+            "scorer_id": imported or self._scorer_id,
+            "query_scorer_id": self._scorer_id,
+            "score_parts": [part.name for part in self.cache.parts()] if self.cache else [],
+            "model": {n: getattr(config, n) for n in ("model", "revision", "dtype", "scoring")},
             "decision": {
                 name: getattr(config, name)
                 for name in ("source", "rule", "prior_weight", "evidence_power")
             },
             "smoothing": inputs.smoothing,
             "sentences": self.sentences,
-            "sentences_scored": self.scored,
+            "sentences_scored": self.scored.sentences,
         }

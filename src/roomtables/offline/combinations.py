@@ -60,12 +60,12 @@ def combinations_of_rooms(
     return np.array(sorted(needed), np.int64).reshape(-1, k)
 
 
-def query_sentences(
+def query_frames(
     ranks: Ranks, by_rank: Sequence[str], labels: LabelSpace, template: Template
-) -> Iterator[tuple[list[str], list[str]]]:
-    """Object labels in sentence order, and one sentence per predicted room, per combination."""
+) -> Iterator[tuple[list[str], str, str]]:
+    """Per combination: object labels in sentence order, and the sentence around its room."""
     by_label = {label.label: label for label in labels.objects}
     in_order = [by_label[name] for name in by_rank]
     for row in ranks.tolist():
         chosen = [in_order[rank - 1] for rank in row if rank]
-        yield [o.label for o in chosen], template.compose(chosen, labels.predicted_rooms)
+        yield [o.label for o in chosen], *template.around_room(chosen)

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from roomtables.config import BuildConfig, load_labels
 from roomtables.labels import LabelSpace
 from roomtables.offline.combinations import check_key_size
 from roomtables.offline.pairs import PairValues, read_counts, read_scores
-from roomtables.offline.stages import stage_sql
 from roomtables.rooms import read_room_lines
-from roomtables.schemas import SCHEMA_VERSION
 from roomtables.sentences import Template
-
-# Settings that say how to build, not what; files count by their content.
-_HOW = ("device", "token_budget", "engine", "full_refresh", "counts", "scores", "combinations")
-_SQL_STAGES = ("single_scores", "cooccurrence", "entropy", "room_bias", "query_scores")
 
 
 @dataclass(frozen=True)
@@ -69,20 +61,6 @@ class Inputs:
     def needs_model(self) -> bool:
         """Whether any score has to come from the language model."""
         return self.scores is None or self.config.combinations != "none"
-
-    def fingerprint(self, scorer_id: str | None) -> str:
-        """A hash of everything that decides what the tables hold."""
-        settings = {k: v for k, v in asdict(self.config).items() if k not in _HOW}
-        parts = [
-            SCHEMA_VERSION,
-            self.labels.fingerprint,
-            settings | {"labels": self.labels.name, "scorer_id": scorer_id},
-            self.counts.fingerprint if self.counts else None,
-            self.scores.fingerprint if self.scores else None,
-            self.config.combinations if self.rooms is None else self.rooms,
-            [stage_sql(name) for name in _SQL_STAGES],
-        ]
-        return hashlib.sha256(json.dumps(parts, default=str).encode()).hexdigest()
 
 
 def _rooms(combinations: str) -> Sequence[Sequence[str]] | None:

@@ -13,13 +13,13 @@ from roomtables.offline.combinations import (
     Ranks,
     all_combinations,
     combinations_of_rooms,
-    query_sentences,
+    query_frames,
 )
 from roomtables.offline.inputs import Inputs
 from roomtables.sentences import Template
 from roomtables.twin import pack_keys
 
-_CHUNK = 4096  # combinations whose sentences are held at once
+_CHUNK = 65_536  # combinations that are held as Python objects at once
 
 
 def load_single_sentences(
@@ -34,19 +34,32 @@ def load_single_sentences(
     connection.executemany("insert into single_sentences values (?, ?, ?)", rows)
 
 
-def create_tables(connection: duckdb.DuckDBPyConnection) -> None:
-    """Empty tables ``single_sentences`` and ``queries``."""
+def create_tables(connection: duckdb.DuckDBPyConnection, labels: LabelSpace) -> None:
+    """Empty tables ``single_sentences`` and ``combinations``, and the view ``queries``.
+
+    A query sentence is put together when it is read: 1.35 million combinations and 23 rooms are
+    31 million sentences, too many to hold.
+    """
     connection.execute(
         "create table single_sentences (object varchar, room varchar, sentence varchar)"
     )
     connection.execute(
-        "create table queries (source varchar, key ubigint, objects varchar[], "
-        "room_position integer, sentence varchar)"
+        "create table combinations (source varchar, key ubigint, objects varchar[], "
+        "before_room varchar, after_room varchar)"
+    )
+    connection.execute("create table room_phrases (position integer, phrase varchar)")
+    connection.executemany(
+        "insert into room_phrases values (?, ?)",
+        [(position, room.phrase) for position, room in enumerate(labels.predicted_rooms)],
+    )
+    connection.execute(
+        "create view queries as select source, key, position as room_position, "
+        "before_room || phrase || after_room as sentence from combinations cross join room_phrases"
     )
 
 
 def load_queries(connection: duckdb.DuckDBPyConnection, inputs: Inputs) -> None:
-    """Table ``queries``: one row per source, combination and predicted room."""
+    """Table ``combinations``: one row per source and combination of objects."""
     sources = connection.execute("select distinct source from entropy order by source").fetchall()
     for (source,) in sources:
         ordered = connection.execute(
@@ -73,21 +86,17 @@ def _load_source(
     by_rank: list[str],
     ranks: Ranks,
 ) -> None:
-    rooms = len(inputs.labels.predicted_rooms)
-    composed = query_sentences(ranks, by_rank, inputs.labels, inputs.template)
-    keyed = zip(pack_keys(ranks, inputs.config.k).tolist(), composed, strict=True)
+    frames = query_frames(ranks, by_rank, inputs.labels, inputs.template)
+    keyed = zip(pack_keys(ranks, inputs.config.k).tolist(), frames, strict=True)
     while chunk := list(islice(keyed, _CHUNK)):
         batch = pa.table(
             {
                 "key": pa.array([key for key, _ in chunk], pa.uint64()),
-                "objects": [objects for _, (objects, _) in chunk],
-                "sentences": [sentences for _, (_, sentences) in chunk],
+                "objects": [objects for _, (objects, _, _) in chunk],
+                "before_room": [before for _, (_, before, _) in chunk],
+                "after_room": [after for _, (_, _, after) in chunk],
             }
         )
         connection.register("batch", batch)
-        connection.execute(
-            "insert into queries select ?, key, objects, unnest(range(?)), unnest(sentences) "
-            "from batch",
-            [source, rooms],
-        )
+        connection.execute("insert into combinations select ?, * from batch", [source])
         connection.unregister("batch")

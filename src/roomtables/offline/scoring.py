@@ -6,18 +6,59 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import duckdb
 from tqdm import tqdm
 
+from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
 from roomtables.offline.cache import SentenceCache
+from roomtables.offline.model import LazyScorer
 from roomtables.scorer import Scorer, SentenceScore
 
 # A part is written when it holds this many sentences or is this old: what a killed build loses.
 PART_SENTENCES = 20_000
 PART_SECONDS = 60.0
 _FETCH = 4096
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is to be scored: table ``todo`` of a connection, ``total`` sentences, into a cache."""
+
+    connection: duckdb.DuckDBPyConnection
+    cache: SentenceCache
+    model: LazyScorer
+    config: BuildConfig
+    total: int
+    progress: bool = False
+
+    def sentences(self) -> Iterator[str]:
+        """The sentences of ``todo``, sorted, lazily, on a cursor of their own."""
+        cursor = self.connection.cursor()
+        cursor.execute("select sentence from todo order by sentence")
+        while rows := cursor.fetchmany(_FETCH):
+            for (sentence,) in rows:
+                yield sentence
+
+
+@dataclass
+class Scored:
+    """What scoring cost: sentences, scored tokens, seconds without loading a model, workers."""
+
+    sentences: int = 0
+    tokens: int = 0
+    seconds: float = 0.0
+    workers: int = 1
+
+    def __add__(self, other: Scored) -> Scored:
+        return Scored(
+            self.sentences + other.sentences,
+            self.tokens + other.tokens,
+            self.seconds + other.seconds,
+            max(self.workers, other.workers),
+        )
 
 
 def missing_sentences(
@@ -28,65 +69,70 @@ def missing_sentences(
     Sorted text is what a token trie likes best. Returns how many there are.
     """
     connection.execute(
-        f"create or replace table todo as select distinct sentence from {needed} "
+        f"create or replace table todo as select sentence from {needed} "
         f"anti join (select sentence from ({cache.select()})) using (sentence) order by sentence"
     )
     return int(connection.execute("select count(*) from todo").fetchall()[0][0])
 
 
-def score_missing(
-    connection: duckdb.DuckDBPyConnection,
-    cache: SentenceCache,
-    scorer: Scorer,
-    total: int,
-    progress: bool,
-) -> None:
-    """Score table ``todo`` with the scorer and append to the cache as parts.
+def score_locally(work: Work) -> Scored:
+    """Score table ``todo`` in this process and append to the cache as parts.
 
     Raises
     ------
     ModelError
         The scorer's identity is not the cache's, or a score is not finite; nothing bad is kept.
     """
+    scorer = work.model.load()
+    check_identity(scorer, work.cache)
+    done = Scored()
+    kept: list[str] = []
+    scores: list[SentenceScore] = []
+    started = part_started = time.monotonic()
+    bar = tqdm(
+        total=work.total, unit="sentence", desc="scoring", disable=not work.progress, leave=False
+    )
+    with bar:
+        try:
+            for sentence, score in scored(scorer, work.sentences()):
+                kept.append(sentence)
+                scores.append(score)
+                done.tokens += score.token_count
+                bar.update()
+                if len(kept) >= PART_SENTENCES or time.monotonic() - part_started > PART_SECONDS:
+                    work.cache.append(kept, scores)
+                    done.sentences += len(kept)
+                    kept, scores, part_started = [], [], time.monotonic()
+        finally:  # an interrupted build keeps what it has
+            if kept:
+                work.cache.append(kept, scores)
+                done.sentences += len(kept)
+    done.seconds = time.monotonic() - started
+    return done
+
+
+def check_identity(scorer: Scorer, cache: SentenceCache) -> None:
+    """Refuse to keep one scorer's scores under another's name.
+
+    Raises
+    ------
+    ModelError
+        The scorer's identity is not the cache's.
+    """
     if scorer.scorer_id != cache.scorer_id:
         raise ModelError(
             f"the model is {scorer.scorer_id}, expected {cache.scorer_id}; run `roomtables build`"
         )
-    sentences = list_todo(connection)
-    kept: list[str] = []
-    scores: list[SentenceScore] = []
-    started = time.monotonic()
-    bar = tqdm(total=total, unit="sentence", desc="scoring", disable=not progress, leave=False)
-    with bar:
-        try:
-            for sentence, score in scored(scorer, sentences):
-                if not math.isfinite(score.log_prob):
-                    raise ModelError(
-                        f"{scorer.scorer_id} gives {score.log_prob} for {sentence!r}; "
-                        "use another `--dtype` or `--model`"
-                    )
-                kept.append(sentence)
-                scores.append(score)
-                bar.update()
-                if len(kept) >= PART_SENTENCES or time.monotonic() - started > PART_SECONDS:
-                    cache.append(kept, scores)
-                    kept, scores, started = [], [], time.monotonic()
-        finally:  # an interrupted build keeps what it has
-            if kept:
-                cache.append(kept, scores)
-
-
-def list_todo(connection: duckdb.DuckDBPyConnection) -> Iterator[str]:
-    """The sentences of ``todo``, lazily, on a cursor of their own."""
-    cursor = connection.cursor()
-    cursor.execute("select sentence from todo order by sentence")
-    while rows := cursor.fetchmany(_FETCH):
-        for (sentence,) in rows:
-            yield sentence
 
 
 def scored(scorer: Scorer, sentences: Iterator[str]) -> Iterator[tuple[str, SentenceScore]]:
-    """Each sentence with its score, though the scorer reads ahead of what it has answered."""
+    """Each sentence with its score, though the scorer reads ahead of what it has answered.
+
+    Raises
+    ------
+    ModelError
+        A score is not finite.
+    """
     waiting: deque[str] = deque()
 
     def watched() -> Iterator[str]:
@@ -95,4 +141,10 @@ def scored(scorer: Scorer, sentences: Iterator[str]) -> Iterator[tuple[str, Sent
             yield sentence
 
     for score in scorer.score_stream(watched()):
-        yield waiting.popleft(), score
+        sentence = waiting.popleft()
+        if not math.isfinite(score.log_prob):
+            raise ModelError(
+                f"{scorer.scorer_id} gives {score.log_prob} for {sentence!r}; "
+                "use another `--dtype` or `--model`"
+            )
+        yield sentence, score

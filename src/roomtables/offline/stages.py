@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import duckdb
 
 from roomtables.config import pipeline_folder
 from roomtables.errors import StoreError
+from roomtables.files import writing
 from roomtables.labels import LabelSpace
 from roomtables.offline.cache import NO_SCORES, quote
 from roomtables.offline.pairs import PairValues
@@ -30,6 +32,30 @@ def connect(workspace: Path) -> duckdb.DuckDBPyConnection:
     # Before anything is scored, no sentence has a score.
     connection.execute(f"create view sentence_scores as {NO_SCORES}")
     return connection
+
+
+@contextmanager
+def interruptible(folder: Path) -> Iterator[None]:
+    """Turn what DuckDB and the file system say into this package's words.
+
+    Raises
+    ------
+    StoreError
+        The disk is full, or a file cannot be written or read.
+    KeyboardInterrupt
+        A query was interrupted.
+    """
+    try:
+        with writing(folder):
+            yield
+    except duckdb.InterruptException as error:
+        raise KeyboardInterrupt from error
+    except (duckdb.IOException, duckdb.OutOfMemoryException, duckdb.FatalException) as error:
+        text = str(error).strip().splitlines()[0]
+        raise StoreError(
+            f"cannot build in {folder}: {text}; free some space or memory, then run "
+            "`roomtables build` again: what is scored is kept"
+        ) from error
 
 
 def load_labels_tables(connection: duckdb.DuckDBPyConnection, labels: LabelSpace) -> None:
