@@ -7,6 +7,7 @@ from typing import Any
 
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
+from roomtables.parts import SCORES, all_parts, live_parts
 from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES
 from roomtables.store import Version
 
@@ -36,7 +37,8 @@ def connect(tables: Path, version: Version) -> Any:
 
 
 def _sentence_scores(connection: Any, tables: Path) -> None:
-    parts = sorted((tables / "scores").glob("*/part-*.parquet"))
+    folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
+    parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
     columns = TABLE_BY_NAME["sentence_scores"].columns
     empty = ", ".join(f"null::{c.type} as {c.name}" for c in columns)
     files = ", ".join(_literal(part.resolve()) for part in parts)
