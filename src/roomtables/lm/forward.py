@@ -50,6 +50,13 @@ class Forward:
         return chosen.double().cpu().numpy()
 
     @torch.inference_mode()
+    def masked(self, tokens: list[int], position: int, token: int) -> float:
+        """The naive way for a masked model: log probability of ``token`` at ``position``."""
+        ids = torch.tensor([tokens], device=self.device)
+        logits = _at_least_float32(self.model(input_ids=ids).logits[0, position])
+        return float(torch.log_softmax(logits, -1)[token])
+
+    @torch.inference_mode()
     def read(
         self,
         inputs: Mapping[str, Any],
@@ -100,18 +107,17 @@ class Forward:
 
 
 def _log_probs(logits: Tensor, asked: Tensor, tokens: Tensor) -> Tensor:
-    """log softmax at (asked, tokens), float64, normalised blockwise in at least float32."""
+    """log softmax at (asked, tokens), float64, normalised in at least float32.
+
+    Overwrites ``logits``, block by block: fewer passes over memory than ``torch.logsumexp``.
+    """
+    chosen = _at_least_float32(logits[asked, tokens]).double()
     block = max(1, _BLOCK[logits.device.type] // logits.shape[-1])
-    normalisers = torch.cat([_logsumexp(part) for part in torch.split(logits, block)])
-    chosen = _at_least_float32(logits[asked, tokens])
-    return chosen.double() - normalisers[asked].double()
-
-
-def _logsumexp(logits: Tensor) -> Tensor:
-    """torch.logsumexp over the last axis, with fewer passes over memory."""
-    logits = _at_least_float32(logits)
-    highest = logits.amax(-1, keepdim=True)
-    return (logits - highest).exp_().sum(-1).log_() + highest[:, 0]
+    normalisers = []
+    for part in map(_at_least_float32, torch.split(logits, block)):
+        highest = part.amax(-1, keepdim=True)
+        normalisers.append(part.sub_(highest).exp_().sum(-1).log_() + highest[:, 0])
+    return chosen - torch.cat(normalisers)[asked].double()
 
 
 def _at_least_float32(tensor: Tensor) -> Tensor:

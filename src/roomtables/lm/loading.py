@@ -15,13 +15,14 @@ from roomtables.lm.encoding import Encoder
 from roomtables.lm.folders import ModelFolder, resolve
 from roomtables.lm.forward import Forward
 from roomtables.lm.identity import device_class, scorer_id, scoring_kind
+from roomtables.lm.kernels import accelerate
 from roomtables.lm.masked import MaskedBackend
 from roomtables.lm.windows import SentenceScorer
 
 _log = logging.getLogger(__name__)
 
 # Tokens in one forward: on a CPU enough to keep the matrix products busy, on a GPU far more.
-DEFAULT_TOKEN_BUDGET = {"cpu": 1024, "cuda": 16384}
+DEFAULT_TOKEN_BUDGET = {"cpu": 512, "cuda": 16384}
 _CONTEXT_KEYS = ("max_position_embeddings", "n_positions", "n_ctx", "max_seq_len")
 
 
@@ -107,7 +108,9 @@ def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> An
             output_loading_info=True,
         )
         _refuse_missing_weights(folder, report)
-        return network.eval().requires_grad_(False).to(device)
+        network.eval().requires_grad_(False).to(device)
+        accelerate(network)
+        return network
     except RoomtablesError:
         raise
     except torch.cuda.OutOfMemoryError as error:

@@ -8,6 +8,7 @@ Ivanova 2023), which keeps a long word from being read off its own remainder.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -15,9 +16,17 @@ import numpy as np
 
 from roomtables.errors import ModelError
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.forward import FloatArray, Forward, IntArray
 from roomtables.lm.progress import Meter
+from roomtables.lm.selfcheck import agree, in_float32
 from roomtables.lm.strategies import batches_by_length
+
+_log = logging.getLogger(__name__)
+
+CHECK_SENTENCES = (
+    "A room containing toilets, sinks, and towels is called a bathroom.",
+    "A room containing beds is called a bedroom.",
+)
 
 
 class MaskedSentence(NamedTuple):
@@ -54,6 +63,9 @@ class MaskedBackend:
         self.encoder = encoder
         self.whole_words = whole_words
         self.fallbacks: list[str] = []
+        self._batched = True
+        with in_float32(forward):
+            self._check()
 
     def encode(self, sentences: Sequence[str]) -> list[MaskedSentence]:
         batch = self.encoder.call(sentences, return_special_tokens_mask=True)
@@ -78,14 +90,35 @@ class MaskedBackend:
         lengths = np.array([len(tokens) for tokens in reads.inputs])
         by_input = np.argsort(source, kind="stable")
         starts = np.searchsorted(source[by_input], np.arange(len(lengths) + 1))
-        for rows in batches_by_length(lengths, budget):
+        for rows in batches_by_length(lengths, budget if self._batched else 1):
             wanted = np.concatenate([by_input[starts[row] : starts[row + 1]] for row in rows])
             values = self._read(reads, rows, wanted)
             np.add.at(scores, np.array(reads.owner)[wanted], values)
             meter.advance(len(rows) / len(lengths), int(lengths[rows].sum()))
         return scores
 
-    def _read(self, reads: _Reads, rows: np.ndarray, wanted: np.ndarray) -> FloatArray:
+    def _check(self) -> None:
+        """Batches must agree with one plain forward per masked copy; else copies run singly."""
+        encoded = self.encode(CHECK_SENTENCES)
+        expected = np.array([self._naive(sentence) for sentence in encoded])
+        for self._batched in (True, False):
+            meter = Meter()
+            meter.begin(len(encoded), 0)
+            if agree(self.forward, self.log_probs(encoded, 1024, meter), expected):
+                return
+            self.fallbacks.append("batches disagree with single masked copies")
+            _log.warning("%s: %s", self.encoder.name, self.fallbacks[-1])
+        raise ModelError(
+            f"{self.encoder.name} does not give one score to one sentence; use another --model"
+        )
+
+    def _naive(self, sentence: MaskedSentence) -> float:
+        return sum(
+            self.forward.masked(list(masked), position, sentence.tokens[position])
+            for position, masked in self._masked_copies(sentence)
+        )
+
+    def _read(self, reads: _Reads, rows: IntArray, wanted: IntArray) -> FloatArray:
         """Log probabilities of the ``wanted`` reads, all from the masked inputs in ``rows``."""
         width = len(reads.inputs[rows[0]])
         pad = self.encoder.tokenizer.pad_token_id or 0

@@ -15,7 +15,7 @@ import torch
 
 from roomtables.errors import ModelError
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.forward import FloatArray, Forward, IntArray
 from roomtables.lm.progress import Meter
 from roomtables.lm.sequences import Sequences, sort_sequences
 from roomtables.lm.strategies import ROW_NODES, Strategy
@@ -40,7 +40,7 @@ def choose(
     sequences = sample_sequences(encoder)
     picked = np.unique(np.linspace(0, len(sequences) - 1, _SAMPLE).astype(int))
     fallbacks: list[str] = []
-    with _float32(forward):
+    with in_float32(forward):
         expected = _naive(forward, sequences, picked, encoder.name)
         for name, strategy in candidates:
             why = _disagreement(strategy, forward, sequences, budget, picked, expected)
@@ -52,26 +52,32 @@ def choose(
 
 
 def sample_sequences(encoder: Encoder) -> Sequences:
-    """Families of token sequences, like prefixes with many endings, that fill more than a row.
+    """Families of token sequences, prefixes with many endings, that fill more than a row.
 
-    Tokens are drawn at random, always the same ones, so that the check suits any tokenizer.
+    All begin alike, so that a row's last nodes reach back to its first, beyond any local window
+    that counts columns. Tokens are drawn at random, always the same, which suits any tokenizer.
     """
     generator = np.random.default_rng(0)
     lead, ordinary = encoder.sample_tokens()
     longest = min(24, encoder.context or 24)
-    drawn = lambda size: generator.choice(ordinary, size).tolist()  # noqa: E731
+
+    def drawn(size: int) -> list[int]:
+        tokens: list[int] = generator.choice(ordinary, size).tolist()
+        return tokens
+
+    root = lead + drawn(2)
     sequences, nodes = [], 0
     while nodes < 1.3 * ROW_NODES:
-        prefix = lead + drawn(int(generator.integers(1, max(2, longest - 6))))
+        prefix = root + drawn(int(generator.integers(1, max(2, longest - 8))))
         for _ in range(8):
             ending = drawn(int(generator.integers(1, 7)))
             sequences.append((prefix + ending)[:longest])
             nodes += len(ending) - 1
-        nodes += len(prefix)
+        nodes += len(prefix) - len(root)
     return sort_sequences([tokens for tokens in sequences if len(tokens) > 1])[0]
 
 
-def _naive(forward: Forward, sequences: Sequences, picked: np.ndarray, name: str) -> FloatArray:
+def _naive(forward: Forward, sequences: Sequences, picked: IntArray, name: str) -> FloatArray:
     try:
         scores = np.array([forward.sequence(sequences.row(row)).sum() for row in picked])
     except Exception as error:
@@ -91,7 +97,7 @@ def _disagreement(
     forward: Forward,
     sequences: Sequences,
     budget: int,
-    picked: np.ndarray,
+    picked: IntArray,
     expected: FloatArray,
 ) -> str | None:
     try:
@@ -102,15 +108,19 @@ def _disagreement(
         raise
     except Exception as error:  # whatever an architecture does with inputs it does not expect
         return _one_line(error)
-    slack = 2 * torch.finfo(forward.dtype).eps * np.abs(expected)
-    apart = np.abs(scores - expected)
-    if (apart <= TOLERANCE_NATS + slack).all():
+    if agree(forward, scores, expected):
         return None
-    return f"{np.nanmax(apart):.2g} nats from naive scoring"
+    return f"{np.abs(scores - expected).max():.2g} nats from naive scoring"
+
+
+def agree(forward: Forward, scores: FloatArray, expected: FloatArray) -> bool:
+    """Whether scores are equal up to the rounding of the model's dtype; NaN never is."""
+    slack = 2 * torch.finfo(forward.dtype).eps * np.abs(expected)
+    return bool((np.abs(scores - expected) <= TOLERANCE_NATS + slack).all())
 
 
 @contextlib.contextmanager
-def _float32(forward: Forward) -> Iterator[None]:
+def in_float32(forward: Forward) -> Iterator[None]:
     """Check half-precision models in float32, which no rounding blurs; back without any loss."""
     model = forward.model
     tensors = [*model.parameters(), *model.buffers()]
@@ -120,7 +130,7 @@ def _float32(forward: Forward) -> Iterator[None]:
         cast = []
     try:
         for tensor, _ in cast:
-            tensor.data = tensor.data.float()
+            tensor.data = tensor.data.to(torch.float32)
         yield
     finally:
         for tensor, dtype in cast:

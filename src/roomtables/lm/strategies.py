@@ -39,7 +39,8 @@ def trie(
         edge[layout.edges] = forward.read(inputs, layout.positions, layout.asked, tokens)
         meter.advance(len(layout.edges) / len(tree.edge_source), layout.token.size)
     # Paths are padded with -1, which is the zero at the end.
-    return edge[tree.path].sum(axis=1)
+    scores: FloatArray = edge[tree.path].sum(axis=1)
+    return scores
 
 
 def _ancestor_mask(forward: Forward, end: IntArray) -> Tensor:

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("torch")
-
 from roomtables.lm import load_scorer
 from unit.lm.conftest import CAUSAL, MASKED, room_sentences
 from unit.lm.naive import causal_scores, masked_scores
