@@ -28,7 +28,7 @@ class LiveGraph:
 
     def __init__(self, graph: Any, names: Mapping[int, str] | None) -> None:
         self._graph = graph
-        metadata = graph.metadata.get()
+        metadata = dict(graph.metadata.get())
         spaces = label_spaces({"metadata": metadata}, "message")
         self._rooms = {symbol(node.id.value): node for node in _nodes(graph, "ROOMS")}
         self._room_labels = spaces.get("_l4p0", {})
@@ -63,7 +63,7 @@ class LiveGraph:
         used = {room.label for room in named.values()}
         ids, pairs = room_label_space(self._room_labels, used, labels)
         if named and len(pairs) > len(self._room_labels):
-            metadata = self._graph.metadata.get()
+            metadata = dict(self._graph.metadata.get())
             metadata.setdefault("labelspaces", {})["_l4p0"] = pairs
             self._graph.metadata.set(metadata)
         for key, room in named.items():
@@ -71,7 +71,7 @@ class LiveGraph:
             attributes.name = room.label
             attributes.semantic_label = ids[room.label]
             attributes.semantic_class_probabilities = dict(room.probabilities)
-            own = attributes.metadata.get() or {}
+            own = dict(attributes.metadata.get())
             attributes.metadata.set({**own, "roomtables": dict(room.provenance)})
 
     def encode(self) -> bytes:
