@@ -24,7 +24,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
-from roomtables.cli.naming import named_rooms
+from roomtables.cli.naming import Namer
 from roomtables.errors import InputError, StoreError
 from roomtables.online.classifier import RoomTables
 from roomtables.scenes.dsg import dsg_scene
@@ -175,9 +175,8 @@ def label(
     found = list(dsg_scene(document, scene, options).rooms)
     opened = RoomTables.open(tables, labels, **decision)
     answers = opened.classify_many([room.as_room().objects for room in found])
-    named = named_rooms(
-        {room.room_id: answer for room, answer in zip(found, answers, strict=True)}, opened
-    )
+    by_room = {room.room_id: answer for room, answer in zip(found, answers, strict=True)}
+    named = Namer(opened)(by_room)
     graph = parse_graph(document, str(scene))
     label_rooms(document, graph, named, [room.label for room in opened.candidates])
     if output.suffix == ".sparkdsg":

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from roomtables.cli.common import decision_options, labels_option, tables_option
-from roomtables.cli.naming import named_rooms
+from roomtables.cli.naming import Namer
 from roomtables.cli.scenes import labelspace_option
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
@@ -66,10 +66,10 @@ def serve(
     logging.getLogger("roomtables").setLevel(logging.INFO)
     opened = RoomTables.open(tables, labels, offline=True, **decision)
     asking = None if offline else RoomTables.open(tables, labels, **decision)
-    candidates = [room.label for room in opened.candidates]
+    candidates, namer = [room.label for room in opened.candidates], Namer(opened)
 
     def name(graph: LiveGraph, answers: Mapping[str, Prediction]) -> None:
-        graph.name_rooms(named_rooms(answers, opened), candidates)
+        graph.name_rooms(namer(answers), candidates)
 
     service = Service(GraphCodec(labelspace), Labeller(opened, asking), name, recv, send)
     stop = threading.Event()

@@ -181,9 +181,10 @@ def _vote(
     distance: Callable[[int, int], float],
 ) -> int | None:
     ways = [(room, parent) for parent in parents for room in climb(parent)]
+    reached = {room for room, _ in ways}
+    if len(reached) <= 1:
+        return next(iter(reached), None)
     votes = Counter(room for room, _ in ways)
-    if len(votes) <= 1:
-        return next(iter(votes), None)
     best = max(votes.values())
     near = [(distance(child, parent), room) for room, parent in ways if votes[room] == best]
     return min(near)[1]

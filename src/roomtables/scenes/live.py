@@ -33,7 +33,7 @@ class LiveGraph:
         self._rooms = {symbol(node.id.value): node for node in _nodes(graph, "ROOMS")}
         self._room_labels = spaces.get("_l4p0", {})
         names = names or spaces.get("_l2p0") or spaces.get("mesh")
-        objects = {node.id.value: node for node in _nodes(graph, "OBJECTS")}
+        objects = _object_labels(graph)
         if names is None and objects and self._rooms:
             raise InputError(
                 "no label space names its objects' labels; give one with `--labelspace FILE.yaml`"
@@ -41,21 +41,21 @@ class LiveGraph:
         self.rooms = self._contents(objects, names or {})
 
     def _contents(
-        self, objects: Mapping[int, Any], names: Mapping[int, str]
+        self, objects: Mapping[int, int], names: Mapping[int, str]
     ) -> dict[str, tuple[str, ...]]:
         graph = self._graph
-        rooms = {node.id.value for node in self._rooms.values()}
+        rooms = {node.id.value: key for key, node in self._rooms.items()}
         owner = rooms_of(
             objects,
-            lambda key: sorted((objects.get(key) or graph.get_node(key)).parents()),
+            lambda key: graph.get_node(key).parents(),
             rooms.__contains__,
             lambda child, parent: math.dist(graph.get_position(child), graph.get_position(parent)),
         )
         held: dict[str, list[str]] = {key: [] for key in self._rooms}
         for key, room in owner.items():
-            name = names.get(objects[key].attributes.semantic_label)
+            name = names.get(objects[key])
             if room is not None and name is not None:
-                held[symbol(room)].append(name)
+                held[rooms[room]].append(name)
         return {key: tuple(sorted(found)) for key, found in held.items()}
 
     def name_rooms(self, named: Mapping[str, NamedRoom], labels: Iterable[str]) -> None:
@@ -114,13 +114,19 @@ class GraphCodec:
             raise InputError(f"not a readable scene graph ({reason})") from error
 
 
-def _nodes(graph: Any, layer: str) -> list[Any]:
-    if not graph.has_layer(layer):
-        return []
-    nodes = graph.get_layer(layer).nodes
-    if layer == "OBJECTS":
-        return [node for node in nodes if "Object" in type(node.attributes).__name__]
-    return list(nodes)
+def _nodes(graph: Any, layer: str) -> Iterable[Any]:
+    nodes: Iterable[Any] = graph.get_layer(layer).nodes if graph.has_layer(layer) else ()
+    return nodes
+
+
+def _object_labels(graph: Any) -> dict[int, int]:
+    """The label of each object, by id; agents may share the layer and are no objects."""
+    labels = {}
+    for node in _nodes(graph, "OBJECTS"):
+        attributes = node.attributes
+        if "Object" in type(attributes).__name__:
+            labels[node.id.value] = attributes.semantic_label
+    return labels
 
 
 @contextmanager
