@@ -150,7 +150,13 @@ class _Making:
             self._make_tables(connection)
             stages.run_checks(connection)
             rows = {name: stages.export(connection, name, staging) for name in VERSION_TABLES}
-            derive_twin(connection, staging / LOOKUP, self.inputs.labels, self._sentence_settings())
+            twin = derive_twin(
+                connection,
+                staging,
+                staging / LOOKUP,
+                self.inputs.labels,
+                self._sentence_settings(),
+            )
             combinations = connection.execute(
                 "select source, count(key) from (select distinct source from cooccurrence) "
                 "left join query_scores using (source) group by source order by source"
@@ -159,7 +165,7 @@ class _Making:
             connection.close()
         stages.remove_workspace(staging)
         files = sorted(path for path in staging.rglob("*") if path.is_file())
-        return self._manifest() | {
+        return self._manifest() | twin | {
             "rows": rows,
             "combinations": dict(combinations),
             "files": {path.relative_to(staging).as_posix(): file_facts(path) for path in files},

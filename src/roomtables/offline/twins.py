@@ -1,33 +1,78 @@
-"""Derive the lookup twin of a version from its tables."""
+"""Derive the lookup twin of a version from its tables, in bounded memory."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import duckdb
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from roomtables.labels import LabelSpace
 from roomtables.schemas import PROXY
-from roomtables.twin import write_twin
+from roomtables.twin_writer import ScoreChunks, write_twin
+
+_BATCH = 8192  # combinations in memory at once
 
 
 def derive_twin(
     connection: duckdb.DuckDBPyConnection,
+    version: Path,
     folder: Path,
     labels: LabelSpace,
     settings: Mapping[str, Any],
-) -> None:
-    """Write ``lookup/`` from the tables of the stages before it."""
+) -> dict[str, Any]:
+    """Write ``lookup/`` of a version; returns what its manifest has to say of it.
+
+    The small tables come from the connection, the scores from the version's Parquet file, as it
+    was written: sorted by source and key.
+
+    Raises
+    ------
+    StoreError
+        ``query_scores`` is not sorted by key.
+    """
     found = connection.execute("select distinct source from cooccurrence order by source")
-    sources = [source for (source,) in found.fetchall()]
-    write_twin(folder, labels, settings, {s: _arrays(connection, s, labels) for s in sources})
+    width = len(labels.predicted_rooms)
+    sources = {
+        source: (
+            _small_arrays(connection, source, labels),
+            read_scores(version / "query_scores.parquet", source, width),
+        )
+        for (source,) in found.fetchall()
+    }
+    return write_twin(folder, labels, settings, sources)
 
 
-def _arrays(
+def read_scores(path: Path, source: str, width: int) -> ScoreChunks:
+    """One source's rows of a ``query_scores`` file, in its order, a batch at a time."""
+    rows = sum(len(batch) for batch in _batches(path, source, ["source"]))
+    return ScoreChunks(rows, width, _chunks(path, source, width))
+
+
+def _chunks(
+    path: Path, source: str, width: int
+) -> Iterator[tuple[NDArray[np.uint64], NDArray[np.float32]]]:
+    for batch in _batches(path, source, ["source", "key", "scores"]):
+        scores = batch.column("scores").flatten().to_numpy(zero_copy_only=False)
+        keys = batch.column("key").to_numpy(zero_copy_only=False)
+        yield keys, scores.astype(np.float32, copy=False).reshape(-1, width)
+
+
+def _batches(path: Path, source: str, columns: list[str]) -> Iterator[pa.RecordBatch]:
+    with pq.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
+        for batch in file.iter_batches(_BATCH, columns=columns, use_threads=False):
+            chosen = batch.filter(pc.equal(batch.column("source"), source))
+            if len(chosen):
+                yield chosen
+
+
+def _small_arrays(
     connection: duckdb.DuckDBPyConnection, source: str, labels: LabelSpace
 ) -> dict[str, NDArray[Any]]:
     evidence = "score" if source == PROXY else "ln(p_room_given_object)"
@@ -41,12 +86,6 @@ def _arrays(
     bias = _column(
         connection, "select bias_nats from room_bias where source = ? order by room", source
     )
-    scores = _column(
-        connection,
-        "select unnest(scores) from query_scores where source = ? order by source, key",
-        source,
-    )
-    predicted = len(labels.predicted_rooms)
     return {
         "entropy": _column(
             connection, "select entropy_nats from entropy where source = ? order by object", source
@@ -55,11 +94,7 @@ def _arrays(
             connection, "select rank from entropy where source = ? order by object", source
         ),
         "object_room": object_room.reshape(len(labels.objects), len(labels.rooms)),
-        "bias": bias if len(bias) else np.zeros(predicted),
-        "keys": _column(
-            connection, "select key from query_scores where source = ? order by source, key", source
-        ),
-        "scores": scores.reshape(-1, predicted),
+        "bias": bias if len(bias) else np.zeros(len(labels.predicted_rooms)),
     }
 
 
