@@ -148,6 +148,13 @@ class SpaceFolder:
             )
         return Version.open(version)
 
+    def pointer(self) -> bytes:
+        """What ``CURRENT`` says now; nothing where there is none."""
+        try:
+            return (self.path / CURRENT).read_bytes()
+        except OSError:
+            return b""
+
     def published(self) -> Version | None:
         """The published version, or ``None`` where nothing usable is published."""
         try:

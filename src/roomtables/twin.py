@@ -197,23 +197,23 @@ def _open_source(
     return found
 
 
-def _open_array(
-    folder: Path, listed: Mapping[str, Any], name: str, verify: bool
-) -> NDArray[Any]:
+def _open_array(folder: Path, listed: Mapping[str, Any], name: str, verify: bool) -> NDArray[Any]:
     path = folder / listed["file"]
     size: int = listed["bytes"]
+    array: NDArray[Any] | None = None
     with path.open("rb") as file:
         if os.fstat(file.fileno()).st_size != size:
             raise ValueError(f"{path.name} has not the {size} bytes that it was written with")
         if size <= _SMALL:
             content = file.read()
-            good = hashlib.sha256(content).hexdigest() == listed["sha256"]
-            array = np.load(io.BytesIO(content), allow_pickle=False) if good else None
+            if hashlib.sha256(content).hexdigest() == listed["sha256"]:
+                array = np.load(io.BytesIO(content), allow_pickle=False)
         else:
             good = sampled_sha256(file, size) == listed["sample_sha256"]
             if good and verify:
                 good = hashlib.file_digest(file, "sha256").hexdigest() == listed["sha256"]
-            array = _map(file, size) if good else None
+            if good:
+                array = _map(file, size)
     if array is None:
         raise ValueError(f"{path.name} is not the file that it was written as")
     dtypes, dimensions = ARRAYS[name]
@@ -233,4 +233,5 @@ def _map(file: BinaryIO, size: int) -> NDArray[Any]:
     pages = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     if size > _BEYOND_MEMORY and hasattr(mmap, "MADV_RANDOM"):
         pages.madvise(mmap.MADV_RANDOM)
-    return np.frombuffer(pages, dtype, offset=file.tell()).reshape(shape)
+    array: NDArray[Any] = np.frombuffer(pages, dtype, offset=file.tell()).reshape(shape)
+    return array

@@ -29,7 +29,15 @@ def main() -> None:
 
 
 for command in (
-    build_command, classify, evaluate_command, label, labels, rooms, serve, show, sql_command,
+    build_command,
+    classify,
+    evaluate_command,
+    label,
+    labels,
+    rooms,
+    serve,
+    show,
+    sql_command,
     status,
 ):
     main.add_command(command)

@@ -35,9 +35,7 @@ _COLUMNS = (
 
 @click.command()
 @click.argument("objects", nargs=-1)
-@click.option(
-    "--input", "input_", help="A scene or room list; `-` reads JSON lines from stdin."
-)
+@click.option("--input", "input_", help="A scene or room list; `-` reads JSON lines from stdin.")
 @labelspace_option
 @mapping_option
 @click.option("--top", type=click.IntRange(min=1), help="Show the N most probable rooms.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -232,7 +232,7 @@ def show(
     click.echo(f"{output}: {len(found)} rooms drawn", err=True)
 
 
-def _answers(rooms: list[SceneRoom], predictions: list[Any]) -> dict[str, tuple[str, float]]:
+def _answers(rooms: list[SceneRoom], predictions: Sequence[Any]) -> dict[str, tuple[str, float]]:
     """Each answered room's label and its probability."""
     pairs = zip(rooms, predictions, strict=True)
     return {room.room_id: (p.room, p.probability) for room, p in pairs if p.room is not None}

@@ -6,65 +6,31 @@ One open maps the published tables; the language model is loaded on the first mi
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roomtables.config import check_decision
-from roomtables.errors import ConfigError, InputError, StoreError
-from roomtables.labels import ObjectLabel, RoomLabel, normalise
-from roomtables.online import rules
+from roomtables.errors import StoreError
+from roomtables.labels import RoomLabel
+from roomtables.online import batch
+from roomtables.online.decider import Decision, TableDecider
 from roomtables.online.model import QueryModel
-from roomtables.online.prediction import LM, NONE, TABLE, Prediction
-from roomtables.schemas import CALIBRATED, ENTROPY_DECIMALS, POOLED, PROXY, RULES
+from roomtables.online.open_vocabulary import OpenVocabulary, Question
+from roomtables.online.prediction import NONE, TABLE, Prediction, Predictions
+from roomtables.online.vocabulary import UNLISTED, Vocabulary, as_names
 from roomtables.scorer import Scorer
 from roomtables.store import LOOKUP, SpaceFolder, Version
-from roomtables.twin import SourceArrays, Twin, key_bits
+from roomtables.twin import Twin
 
-# Beyond this length a string is no object's name, and beyond this many unlisted names a room is
-# no room: the model is not asked about the rest.
-_LONGEST_NAME = 100
-_MOST_UNLISTED = 50
-
-
-@dataclass(frozen=True)
-class Decision:
-    """How to decide: the rule, whose co-occurrence, λ, γ, and the candidate rooms (all: none)."""
-
-    rule: str
-    source: str
-    prior_weight: float
-    evidence_power: float
-    rooms: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class _Object:
-    """An object of a room as a rule sees it."""
-
-    label: ObjectLabel
-    rank_key: tuple[float, str]
-    rank: int | None
-    evidence: NDArray[np.float64]
-
-
-@dataclass
-class _Question:
-    """A room on its way to an answer."""
-
-    known: list[_Object]
-    unlisted: list[ObjectLabel]
-    unknown: list[str]
-
-    def picked(self, k: int) -> list[_Object]:
-        return sorted(self.known, key=lambda o: o.rank_key)[:k]
+_BATCH = 1 << 13  # rooms worked on at once: their arrays fit the processor's cache
+_ATTEMPTS = 20  # opens, while a build removes the version that CURRENT named a moment ago
 
 
 class RoomTables:
-    """Published tables of one label space, opened for lookup.
+    """Published tables of one label space, opened for lookup. Threads may share one.
 
     Examples
     --------
@@ -74,23 +40,14 @@ class RoomTables:
     """
 
     def __init__(self, version: Version, twin: Twin, model: QueryModel, decision: Decision) -> None:
-        if decision.rule not in RULES:
-            raise ConfigError(f"no rule {decision.rule!r}; use one of {', '.join(RULES)}")
-        if decision.source not in twin.sources:
-            raise StoreError(
-                f"{version.path} holds no source {decision.source!r} "
-                f"(only {', '.join(twin.sources)}); run `roomtables build --counts FILE.csv`"
-            )
-        check_decision(decision.prior_weight, decision.evidence_power)
         self.version = version
         self.twin = twin
         self.decision = decision
         self._model = model
-        self._arrays: SourceArrays = twin.sources[decision.source]
-        self._object_ids = {o.label: number for number, o in enumerate(twin.objects)}
-        self._predicted = [number for number, room in enumerate(twin.rooms) if room.predicted]
-        self.candidates = self._candidates(decision.rooms)
-        self._prepare()
+        self._decider = TableDecider(twin, decision, model)
+        self._open = OpenVocabulary(self._decider, model)
+        self._vocabulary = Vocabulary(twin.object_aliases, self._decider.ranks())
+        self._rank_of = self._vocabulary.__getitem__
 
     @classmethod
     def open(
@@ -100,6 +57,7 @@ class RoomTables:
         *,
         scorer: Scorer | None = None,
         offline: bool = False,
+        verify: bool = False,
         **decision: Any,
     ) -> RoomTables:
         """Open the published version of a label space.
@@ -110,18 +68,18 @@ class RoomTables:
         labels : the label space's name, or its folder, whose base name is its name
         scorer : a language model for misses; by default the one the tables were built with
         offline : never load a language model
+        verify : read and hash every byte of the lookup files first
         decision : ``rule``, ``source``, ``prior_weight`` (λ), ``evidence_power`` (γ), ``rooms``
             (candidates); what is absent is as the build's settings say
 
         Raises
         ------
         StoreError
-            Nothing is published, or it is damaged or of another schema version.
+            Nothing is published, or it is damaged or of another label space or schema version.
         InputError
             A candidate room is unknown and no model may be asked about it.
         """
-        version = SpaceFolder(Path(tables), Path(labels).name).current()
-        twin = Twin.open(version.path / LOOKUP)
+        version, twin = _open_published(SpaceFolder(Path(tables), Path(labels).name), verify)
         model = QueryModel(version.manifest, scorer, allowed=not offline)
         settings = dict(version.manifest["decision"])
         settings |= {name: value for name, value in decision.items() if value is not None}
@@ -131,176 +89,126 @@ class RoomTables:
         """The same tables and model under another rule, source, λ, γ or candidates."""
         return RoomTables(self.version, self.twin, self._model, replace(self.decision, **changes))
 
+    @property
+    def candidates(self) -> tuple[RoomLabel, ...]:
+        """The rooms that may be the answer, sorted by label."""
+        return self._decider.candidates.rooms
+
     def classify(self, objects: Iterable[str]) -> Prediction:
-        """Label one room from the names of the objects in it, in any order."""
-        return self.classify_many([objects])[0]
+        """Label one room from the names of the objects in it, in any order.
 
-    def classify_many(self, rooms: Iterable[Iterable[str]]) -> list[Prediction]:
-        """Label rooms; whatever no table holds is scored in one batched pass of the model."""
-        questions = [self._resolve(objects) for objects in rooms]
-        self._ask_about_unlisted(questions)
-        if self.decision.rule == POOLED:
-            return [self._pool(question) for question in questions]
-        return self._query(questions)
+        Raises
+        ------
+        InputError
+            The objects are not a list of strings.
+        """
+        names = as_names(objects)
+        ranks = set(map(self._rank_of, names))
+        unlisted = {}
+        if UNLISTED in ranks:
+            ranks.discard(UNLISTED)
+            unlisted = self._vocabulary.unlisted(names)
+        known = sorted(ranks)
+        if not (unlisted and self._open.can_ask()):
+            compared = self._decider.compare(known)
+            unknown = tuple(unlisted.values())
+            if compared is not None:
+                # Rooms are sorted and argmax takes the first: a tie goes to the first label.
+                room = self._decider.room_names[compared.argmax()]
+                return Prediction(self._decider, room, TABLE, known, unknown, compared)
+            if not known:
+                return Prediction(self._decider, None, NONE, known, unknown)
+        return self._open.answer([Question(known, unlisted)])[0]
 
-    # -- candidates ----------------------------------------------------------------------------
+    def classify_many(self, rooms: Iterable[Iterable[str]]) -> Predictions:
+        """Label rooms; whatever no table holds is scored in one batched pass of the model.
 
-    def _candidates(self, names: Sequence[str]) -> tuple[RoomLabel, ...]:
-        """The candidate rooms, sorted by label: all predicted rooms, or those asked for."""
-        if not names:
-            return tuple(self.twin.rooms[number] for number in self._predicted)
-        by_label = {room.label: room for room in self.twin.rooms}
-        chosen = {}
-        for name in names:
-            label = self.twin.room_aliases.get(normalise(name), normalise(name))
-            if not label:
-                raise InputError(
-                    "an empty room name among `--rooms`; write `--rooms kitchen,office`"
-                )
-            chosen[label] = by_label.get(label) or RoomLabel.named(label)
-        return tuple(chosen[label] for label in sorted(chosen))
+        Raises
+        ------
+        InputError
+            The objects of a room are not a list of strings.
+        """
+        names = [as_names(objects) for objects in rooms]
+        ranks, lengths = batch.ranks_of(names, self._vocabulary)
+        ends = np.cumsum(lengths)
+        starts = ends - lengths
+        best, some = self._best(ranks, lengths)
+        unlisted = self._unlisted(names, ranks, ends)
+        left = set(np.flatnonzero((best < 0) & some).tolist())
+        left |= unlisted.keys() if unlisted and self._open.can_ask() else set()
 
-    def _prepare(self) -> None:
-        """Scores and bias over the candidates, and the evidence of each object."""
-        columns = {self.twin.rooms[n].label: at for at, n in enumerate(self._predicted)}
-        labels = [room.label for room in self.candidates]
-        self._room_names = tuple(labels)
-        self._in_tables = all(label in columns for label in labels)
-        if self._in_tables:
-            self._columns = np.array([columns[label] for label in labels])
-            object_room = self._arrays.object_room[:, self._predicted][:, self._columns]
-            bias = self._arrays.bias[self._columns]
-        else:
-            object_room = self._ask_about_rooms()
-            bias = rules.room_bias(object_room)
-        self._bias = np.asarray(bias)
-        weight = self.decision.prior_weight if self.decision.source == PROXY else 0.0
-        self._prior_weight = weight
-        self._evidence = rules.pooled_evidence(
-            np.asarray(object_room), self._bias, weight, self.decision.evidence_power
-        )
+        def known(at: int) -> list[int]:
+            return sorted(set(ranks[starts[at] : ends[at]].tolist()) - {UNLISTED})
 
-    def _ask_about_rooms(self) -> NDArray[np.float64]:
-        """S(o, r) for candidates of which some are in no table, ``[objects, candidates]``."""
-        unlisted = [room.label for room in self.candidates if room not in self.twin.rooms]
-        unpredicted = [room.label for room in self.candidates if not room.predicted]
-        if unpredicted and not unlisted:
-            raise InputError(
-                f"room {unpredicted[0]!r} is never predicted in label space "
-                f"{self.version.manifest['labels']}; leave it out of `--rooms`"
-            )
-        usable = self.decision.source == PROXY and self._model.extends_tables
-        asked = [([o], self.candidates) for o in self.twin.objects]
-        scores = self._model.score(asked) if usable else None
-        if scores is None:
-            raise InputError(
-                f"no table knows room {unlisted[0]!r}, and there is no model to ask; add it to "
-                "rooms.csv and run `roomtables build`, or leave it out of `--rooms`"
-            )
-        return np.stack(scores)
+        open_ = sorted(left)
+        asked = self._open.answer([Question(known(at), unlisted.get(at, {})) for at in open_])
+        answers = dict(zip(open_, asked, strict=True))
 
-    # -- objects -------------------------------------------------------------------------------
+        def predict(at: int) -> Prediction:
+            if at in answers:
+                return answers[at]
+            unknown = tuple(unlisted.get(at, {}).values())
+            by = NONE if labels[at] is None else TABLE
+            return Prediction(self._decider, labels[at], by, known(at), unknown)
 
-    def _resolve(self, objects: Iterable[str]) -> _Question:
-        """Known objects once each; names that no table knows, once each."""
-        known: set[str] = set()
-        unlisted: dict[str, str] = {}
-        for name in objects:
-            spelled = normalise(name)
-            label = self.twin.object_aliases.get(spelled)
-            if label is not None:
-                known.add(label)
-            elif spelled:
-                unlisted.setdefault(spelled, name)
-        question = _Question([self._listed(label) for label in known], [], [])
-        askable = self.decision.source == PROXY and self._model.extends_tables
-        for spelled, name in unlisted.items():
-            fits = len(spelled) <= _LONGEST_NAME and len(question.unlisted) < _MOST_UNLISTED
-            if askable and fits and self._model.load() is not None:
-                question.unlisted.append(ObjectLabel.named(spelled))
+        room_names: Sequence[str | None] = (*self._decider.room_names, None)
+        labels = [room_names[place] for place in best.tolist()]  # −1, unanswered, is the last
+        for at, prediction in answers.items():
+            labels[at] = prediction.room
+        return Predictions(labels, predict)
+
+    def _best(
+        self, ranks: NDArray[np.int64], lengths: NDArray[np.intp]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """The best candidate of each room, −1 for none, and whether it has a known object."""
+        best = np.full(len(lengths), -1)
+        some = np.zeros(len(lengths), np.bool_)
+        ends = np.cumsum(lengths)
+        for start in range(0, len(lengths), _BATCH):
+            rooms = slice(start, start + _BATCH)
+            sizes = lengths[rooms]
+            first = int(ends[start] - lengths[start])
+            part = ranks[first : first + int(sizes.sum())]
+            if self._decider.pools:
+                total, some[rooms] = batch.summed(self._decider.evidence, part, sizes)
+                best[rooms] = np.where(some[rooms], total.argmax(axis=1), -1)
             else:
-                question.unknown.append(name)
-        return question
+                picked = batch.most_informative(part, sizes, self.twin.k)
+                some[rooms] = picked[:, 0] > 0
+                best[rooms] = self._decider.best_of_many(picked)
+        return best, some
 
-    def _listed(self, label: str) -> _Object:
-        number = self._object_ids[label]
-        rank = int(self._arrays.ranks[number])
-        entropy = round(float(self._arrays.entropy[number]), ENTROPY_DECIMALS)
-        return _Object(self.twin.objects[number], (entropy, label), rank, self._evidence[number])
+    def _unlisted(
+        self, names: Sequence[Sequence[str]], ranks: NDArray[np.int64], ends: NDArray[np.intp]
+    ) -> dict[int, dict[str, str]]:
+        """By room, the names that no object bears: normalised → as given."""
+        places = np.flatnonzero(ranks == UNLISTED)
+        rooms = dict.fromkeys(np.searchsorted(ends, places, side="right").tolist())
+        found = {at: self._vocabulary.unlisted(names[at]) for at in rooms}
+        return {at: unlisted for at, unlisted in found.items() if unlisted}
 
-    def _ask_about_unlisted(self, questions: Sequence[_Question]) -> None:
-        """Score the single-object sentences of unlisted names, in one pass, and rank them."""
-        names = {o.label: o for question in questions for o in question.unlisted}
-        if not names:
-            return
-        rooms = (*self.twin.rooms, *(r for r in self.candidates if r not in self.twin.rooms))
-        scores = self._model.score([([o], rooms) for o in names.values()]) or []
-        columns = [rooms.index(room) for room in self.candidates]
-        found = {}
-        for o, row in zip(names.values(), scores, strict=True):
-            over_rooms = rules.log_softmax(row[: len(self.twin.rooms)])
-            entropy = round(float(rules.entropy(over_rooms)), ENTROPY_DECIMALS)
-            evidence = rules.pooled_evidence(
-                row[columns], self._bias, self._prior_weight, self.decision.evidence_power
-            )
-            found[o.label] = _Object(o, (entropy, o.label), None, evidence)
-        for question in questions:
-            question.known += [found[o.label] for o in question.unlisted]
 
-    # -- rules ---------------------------------------------------------------------------------
+def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Twin]:
+    """The version that ``CURRENT`` names, and its twin.
 
-    def _pool(self, question: _Question) -> Prediction:
-        """Rule ``pooled``: the evidence of all the room's objects, summed."""
-        if not question.known:
-            return self._predict(question, None, NONE)
-        ordered = sorted(question.known, key=lambda o: o.rank_key)
-        compared = np.sum([o.evidence for o in ordered], axis=0)
-        return self._predict(question, compared, LM if question.unlisted else TABLE)
+    Builds may publish others and remove this one before it is opened; ``CURRENT`` tells.
+    """
+    for _ in range(_ATTEMPTS):
+        named = space.pointer()
+        try:
+            return _open_version(space, verify)
+        except StoreError:
+            if space.pointer() == named:
+                raise
+    return _open_version(space, verify)
 
-    def _query(self, questions: Sequence[_Question]) -> list[Prediction]:
-        """Rules ``query`` and ``calibrated``: the query sentence's scores, looked up or asked."""
-        picked = [question.picked(self.twin.k) for question in questions]
-        found = [self._look_up(objects) for objects in picked]
-        missed = [at for at, row in enumerate(found) if row is None and picked[at]]
-        asked = [([o.label for o in picked[at]], self.candidates) for at in missed]
-        answers = dict(
-            zip(missed, (self._model.score(asked) if asked else None) or [], strict=False)
+
+def _open_version(space: SpaceFolder, verify: bool) -> tuple[Version, Twin]:
+    version = space.current()
+    labels = version.manifest["labels"]
+    if labels != space.labels:
+        raise StoreError(
+            f"{version.path} holds tables of label space {labels}, not {space.labels}; "
+            f"run `roomtables build --labels {space.labels} --full-refresh`"
         )
-        predictions = []
-        for at, question in enumerate(questions):
-            scores = found[at] if found[at] is not None else answers.get(at)
-            by = TABLE if found[at] is not None else LM if scores is not None else NONE
-            if scores is not None and self.decision.rule == CALIBRATED:
-                scores = rules.calibrated(scores, self._bias, self.decision.prior_weight)
-            predictions.append(self._predict(question, scores, by))
-        return predictions
-
-    def _look_up(self, picked: Sequence[_Object]) -> NDArray[np.float64] | None:
-        """The scores of a combination over the candidates, or ``None`` if no table holds it."""
-        if not picked or not self._in_tables:
-            return None
-        key = 0
-        for at in range(self.twin.k):
-            rank = picked[at].rank if at < len(picked) else 0
-            if rank is None:
-                return None
-            key = key << key_bits(self.twin.k) | rank
-        keys = self._arrays.keys
-        row = int(np.searchsorted(keys, np.uint64(key)))
-        if row == len(keys) or keys[row] != key:
-            return None
-        scores: NDArray[np.float64] = self._arrays.scores[row][self._columns].astype(np.float64)
-        return scores
-
-    def _predict(
-        self, question: _Question, compared: NDArray[np.float64] | None, answered_by: str
-    ) -> Prediction:
-        return Prediction(
-            self._room_names,
-            compared,
-            tuple(o.label.label for o in question.picked(self.twin.k)),
-            tuple(question.unknown),
-            self.decision.rule,
-            self.decision.source,
-            answered_by,
-        )
+    return version, Twin.open(version.path / LOOKUP, version.manifest, verify)

@@ -30,6 +30,12 @@ class QueryModel:
         self._template = Template(manifest["template"])
         self._reduction: str = manifest["reduction"]
         self._lock = threading.Lock()
+        self._scoring = threading.Lock()  # a model answers one thread at a time
+
+    @property
+    def labels(self) -> str:
+        """The name of the label space."""
+        return str(self._manifest["labels"])
 
     @property
     def extends_tables(self) -> bool:
@@ -61,7 +67,8 @@ class QueryModel:
         if scorer is None:
             return None
         sentences = [self._template.compose(objects, rooms) for objects, rooms in asked]
-        scores = iter(scorer.score([text for texts in sentences for text in texts]))
+        with self._scoring:
+            scores = iter(scorer.score([text for texts in sentences for text in texts]))
         return [
             np.array([next(scores).reduced(self._reduction) for _ in texts]) for texts in sentences
         ]

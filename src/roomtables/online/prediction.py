@@ -1,12 +1,14 @@
-"""What roomtables says of one room."""
+"""What roomtables says of one room, or of many."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from roomtables.online.decider import KnownObject, TableDecider
 from roomtables.online.rules import log_softmax
 
 TABLE = "table"
@@ -15,49 +17,74 @@ NONE = "none"
 
 
 class Prediction:
-    """The room that a rule chose, and why; probabilities are computed when asked for.
+    """The room that a rule chose, and why; what costs time is computed when asked for.
 
     Attributes
     ----------
     room : the label, or ``None`` where nothing can answer
-    objects : the picked objects, most informative first: also their order in the sentence
     unknown_objects : names, as given, that nothing could make use of
-    rule, source : what decided, and whose co-occurrence
     answered_by : ``table``, ``lm`` or ``none``
     """
 
-    __slots__ = (
-        "_compared", "_rooms", "answered_by", "objects", "room", "rule", "source",
-        "unknown_objects",
-    )  # fmt: skip
+    __slots__ = ("_compared", "_decider", "_known", "answered_by", "room", "unknown_objects")
 
     def __init__(
         self,
-        rooms: tuple[str, ...],
-        compared: NDArray[np.floating[Any]] | None,
-        objects: tuple[str, ...],
-        unknown_objects: tuple[str, ...],
-        rule: str,
-        source: str,
+        decider: TableDecider,
+        room: str | None,
         answered_by: str,
+        known: Sequence[int | KnownObject],
+        unknown_objects: tuple[str, ...] = (),
+        compared: NDArray[np.floating[Any]] | None = None,
     ) -> None:
-        self._rooms = rooms
-        self._compared = compared
-        # Rooms are sorted and argmax takes the first: a tie goes to the label that sorts first.
-        self.room = None if compared is None else rooms[int(compared.argmax())]
-        self.objects = objects
-        self.unknown_objects = unknown_objects
-        self.rule = rule
-        self.source = source
+        self._decider = decider
+        self.room = room
         self.answered_by = answered_by
+        self._known = known
+        self.unknown_objects = unknown_objects
+        self._compared = compared
+
+    @property
+    def rule(self) -> str:
+        """The rule that decided."""
+        return self._decider.decision.rule
+
+    @property
+    def source(self) -> str:
+        """Whose co-occurrence decided."""
+        return self._decider.decision.source
+
+    @property
+    def known_objects(self) -> tuple[KnownObject, ...]:
+        """All objects of the room that a rule can use, most informative first."""
+        find = self._decider.known_object
+        return tuple(find(known) if isinstance(known, int) else known for known in self._known)
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """The picked objects, most informative first: also their order in the sentence."""
+        find = self._decider.known_object
+        picked = self._known[: self._decider.k]
+        return tuple((find(o) if isinstance(o, int) else o).label.label for o in picked)
+
+    @property
+    def compared(self) -> NDArray[np.float64] | None:
+        """What the rule compared, ``[candidates]`` in nats; ``None`` if unanswered."""
+        if self.room is None:
+            return None
+        if self._compared is None:
+            ranks = [known for known in self._known if isinstance(known, int)]
+            self._compared = self._decider.compare(ranks)
+        return np.asarray(self._compared, np.float64)
 
     @property
     def probabilities(self) -> dict[str, float]:
         """Softmax over the candidate rooms of what the rule compares; empty if unanswered."""
-        if self._compared is None:
+        compared = self.compared
+        if compared is None:
             return {}
-        values = np.exp(log_softmax(np.asarray(self._compared, np.float64)))
-        return dict(zip(self._rooms, values.tolist(), strict=True))
+        values = np.exp(log_softmax(compared)).tolist()
+        return dict(zip(self._decider.room_names, values, strict=True))
 
     @property
     def probability(self) -> float | None:
@@ -70,11 +97,12 @@ class Prediction:
 
     def as_json(self, room_id: str | None = None) -> dict[str, Any]:
         """The prediction under the contract's keys."""
+        probabilities = self.probabilities
         return {
             "room_id": room_id,
             "room": self.room,
-            "probability": self.probability,
-            "probabilities": self.probabilities,
+            "probability": None if self.room is None else probabilities[self.room],
+            "probabilities": probabilities,
             "objects": list(self.objects),
             "unknown_objects": list(self.unknown_objects),
             "rule": self.rule,
@@ -84,3 +112,32 @@ class Prediction:
 
     def __repr__(self) -> str:
         return f"Prediction(room={self.room!r}, objects={self.objects!r}, rule={self.rule!r})"
+
+
+class Predictions(Sequence[Prediction]):
+    """The predictions of many rooms, in order; each is made when it is looked at."""
+
+    def __init__(self, rooms: Sequence[str | None], predict: Callable[[int], Prediction]) -> None:
+        self._rooms = rooms
+        self._predict = predict
+
+    @property
+    def rooms(self) -> list[str | None]:
+        """The label of each room, ``None`` where nothing can answer."""
+        return list(self._rooms)
+
+    def __len__(self) -> int:
+        return len(self._rooms)
+
+    @overload
+    def __getitem__(self, at: int) -> Prediction: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Prediction]: ...
+    def __getitem__(self, at: int | slice) -> Prediction | list[Prediction]:
+        places = range(len(self._rooms))[at]
+        if isinstance(places, range):
+            return [self._predict(place) for place in places]
+        return self._predict(places)
+
+    def __iter__(self) -> Iterator[Prediction]:
+        return map(self._predict, range(len(self._rooms)))

@@ -1,0 +1,152 @@
+"""Tables under one decision: what the rule compares for the objects of a room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roomtables.config import check_decision
+from roomtables.errors import ConfigError, StoreError
+from roomtables.labels import ObjectLabel
+from roomtables.online import rules
+from roomtables.online.candidates import Candidates
+from roomtables.online.model import QueryModel
+from roomtables.online.score_rows import ABSENT, ScoreRows
+from roomtables.schemas import CALIBRATED, ENTROPY_DECIMALS, POOLED, PROXY, RULES
+from roomtables.twin import Twin
+
+
+@dataclass(frozen=True)
+class Decision:
+    """How to decide: the rule, whose co-occurrence, λ, γ, and the candidate rooms (all: none).
+
+    Raises
+    ------
+    ConfigError
+        There is no such rule, or λ or γ make no sense.
+    """
+
+    rule: str
+    source: str
+    prior_weight: float
+    evidence_power: float
+    rooms: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.rule not in RULES:
+            raise ConfigError(f"no rule {self.rule!r}; use one of {', '.join(RULES)}")
+        check_decision(self.prior_weight, self.evidence_power)
+        object.__setattr__(self, "rooms", tuple(self.rooms))
+
+
+@dataclass(frozen=True, slots=True)
+class KnownObject:
+    """An object of a room as a rule sees it.
+
+    Attributes
+    ----------
+    label : the object
+    order : entropy (rounded) and label: what objects are ranked by
+    rank : its rank in the tables, from 1; ``None`` for one that only the model knows
+    evidence : ``[candidates]``, what it adds to each room under rule ``pooled``
+    """
+
+    label: ObjectLabel
+    order: tuple[float, str]
+    rank: int | None
+    evidence: NDArray[np.float64]
+
+
+class TableDecider:
+    """A source's tables under a decision; nothing in it changes, so threads may share it.
+
+    Raises
+    ------
+    StoreError
+        The tables hold no such source.
+    InputError
+        A candidate room is unknown and no model may be asked about it.
+    """
+
+    def __init__(self, twin: Twin, decision: Decision, model: QueryModel) -> None:
+        if decision.source not in twin.sources:
+            raise StoreError(
+                f"the tables of {model.labels} hold no source {decision.source!r} "
+                f"(only {', '.join(twin.sources)}); run `roomtables build --counts FILE.csv`"
+            )
+        self.twin = twin
+        self.decision = decision
+        self.k = twin.k
+        self.pools = decision.rule == POOLED
+        self.arrays = twin.sources[decision.source]
+        self.candidates = Candidates.choose(twin, decision.source, decision.rooms, model)
+        self.room_names = self.candidates.names
+        self._rows = ScoreRows(self.arrays, twin.k, self.candidates.columns)
+        self._offset = (
+            decision.prior_weight * self.candidates.bias if decision.rule == CALIBRATED else None
+        )
+        self._by_rank = np.argsort(self.arrays.ranks).tolist()  # rank - 1 → number of the object
+
+    @property
+    def prior_weight(self) -> float:
+        """λ as it acts on evidence: counts have no taste in rooms to take away."""
+        return self.decision.prior_weight if self.decision.source == PROXY else 0.0
+
+    @cached_property
+    def evidence(self) -> NDArray[np.float64]:
+        """What each object adds to each room under rule ``pooled``, ``[1 + rank, candidates]``."""
+        found = self.candidates
+        by_number = rules.pooled_evidence(
+            found.object_room, found.bias, self.prior_weight, self.decision.evidence_power
+        )
+        evidence = np.zeros((1 + len(by_number), len(found.names)))
+        evidence[self.arrays.ranks] = by_number
+        return evidence
+
+    def ranks(self) -> dict[str, int]:
+        """Object label → rank."""
+        labels = (o.label for o in self.twin.objects)
+        return dict(zip(labels, self.arrays.ranks.tolist(), strict=True))
+
+    def known_object(self, rank: int) -> KnownObject:
+        """The object of a rank."""
+        number = self._by_rank[rank - 1]
+        label = self.twin.objects[number]
+        entropy = round(float(self.arrays.entropy[number]), ENTROPY_DECIMALS)
+        return KnownObject(label, (entropy, label.label), rank, self.evidence[rank])
+
+    def holds(self, ranks: Sequence[int]) -> bool:
+        """Whether the tables hold the combination of the ``k`` best of these ranks, ascending."""
+        return self._rows.find(ranks) != ABSENT
+
+    def compare(self, ranks: Sequence[int]) -> NDArray[np.floating] | None:
+        """What the rule compares for objects of these ranks, ascending: ``[candidates]``, nats.
+
+        ``None`` where no table holds it.
+        """
+        if self.pools:
+            if not ranks:
+                return None
+            pooled: NDArray[np.float64] = np.add.reduce(self.evidence.take(ranks, 0), 0)
+            return pooled
+        if not ranks or not self.candidates.in_tables:
+            return None
+        row = self._rows.find(ranks)
+        return None if row == ABSENT else self.adjust(self._rows.scores(row))
+
+    def best_of_many(self, ranks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The best candidate for each combination ``[n, k]``; −1 where no table holds it."""
+        best = np.full(len(ranks), ABSENT)
+        if self.candidates.in_tables:
+            rows = self._rows.find_many(ranks)
+            held = np.flatnonzero(rows != ABSENT)
+            best[held] = self.adjust(self._rows.scores_many(rows[held])).argmax(axis=1)
+        return best
+
+    def adjust(self, scores: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Query scores as rules ``query`` and ``calibrated`` compare them: S, or S − λ b."""
+        return scores if self._offset is None else scores - self._offset

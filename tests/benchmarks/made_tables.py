@@ -1,0 +1,111 @@
+"""Tables of a whole label space with made-up scores: as large as real ones, and made in a minute.
+
+``query_scores.parquet`` is written as a build writes it; the lookup twin is derived from it by the
+build's own code. Speed and memory do not depend on what the scores are.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from roomtables.config import load_labels
+from roomtables.labels import LabelSpace
+from roomtables.offline.combinations import all_combinations
+from roomtables.offline.twins import read_scores
+from roomtables.online import rules
+from roomtables.schemas import ENTROPY_DECIMALS, PROXY, SCHEMA_VERSION
+from roomtables.sentences import DEFAULT_TEMPLATE
+from roomtables.store import LOOKUP, SpaceFolder, utc_now
+from roomtables.twin import pack_keys
+from roomtables.twin_writer import write_twin
+
+K = 3
+_ROW_GROUP = 16384
+
+
+def make(tables: Path, labels: str = "nyuclass", seed: int = 0) -> dict[str, Any]:
+    """Publish made-up tables; returns rows, seconds and memory of deriving the twin."""
+    space = load_labels(labels)
+    rng = np.random.default_rng(seed)
+    object_room = rng.normal(-30, 3, (len(space.objects), len(space.rooms)))
+    folder = SpaceFolder(tables, space.name)
+    with folder.staging() as staging:
+        parquet = staging / "query_scores.parquet"
+        rows = write_query_scores(parquet, space, rng)
+        before, started = peak_mb(), time.perf_counter()
+        settings = {"k": K, "template": DEFAULT_TEMPLATE, "reduction": "sum"}
+        scores = read_scores(parquet, PROXY, len(space.predicted_rooms))
+        small = small_arrays(object_room, space)
+        twin = write_twin(staging / LOOKUP, space, settings, {PROXY: (small, scores)})
+        seconds = time.perf_counter() - started
+        folder.publish(staging, folder.new_name("madeupxx"), twin | settings | manifest(space, rows))
+    return {
+        "rows": rows,
+        "seconds": round(seconds, 2),
+        "peak_mb_before": round(before),
+        "peak_mb_after": round(peak_mb()),
+    }
+
+
+def write_query_scores(path: Path, space: LabelSpace, rng: np.random.Generator) -> int:
+    """``query_scores`` of all combinations, sorted by key, in row groups as a build writes them."""
+    ranks = all_combinations(len(space.objects), K)
+    keys = np.sort(pack_keys(ranks, K))
+    rooms = len(space.predicted_rooms)
+    schema = pa.schema(
+        [("source", pa.string()), ("key", pa.uint64()), ("scores", pa.list_(pa.float32()))]
+    )
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for start in range(0, len(keys), _ROW_GROUP):
+            part = keys[start : start + _ROW_GROUP]
+            values = rng.normal(-40, 4, len(part) * rooms).astype(np.float32)
+            offsets = np.arange(0, len(values) + 1, rooms, dtype=np.int32)
+            lists = pa.ListArray.from_arrays(offsets, values)
+            source = pa.repeat(pa.scalar(PROXY), len(part))
+            writer.write_table(pa.table([source, part, lists], schema=schema))
+    return len(keys)
+
+
+def small_arrays(object_room: np.ndarray, space: LabelSpace) -> dict[str, np.ndarray]:
+    """What a twin holds beside keys and scores, from S(o, r)."""
+    entropy = rules.entropy(rules.log_softmax(object_room))
+    ordered = sorted(
+        range(len(entropy)),
+        key=lambda n: (round(float(entropy[n]), ENTROPY_DECIMALS), space.objects[n].label),
+    )
+    ranks = np.empty(len(entropy), np.int32)
+    ranks[ordered] = np.arange(1, len(entropy) + 1)
+    predicted = [n for n, room in enumerate(space.rooms) if room.predicted]
+    bias = rules.room_bias(object_room[:, predicted])
+    return {"entropy": entropy, "ranks": ranks, "object_room": object_room, "bias": bias}
+
+
+def manifest(space: LabelSpace, rows: int) -> dict[str, Any]:
+    """What a reader asks of a manifest."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "labels": space.name,
+        "created": utc_now(),
+        "objects": len(space.objects),
+        "rooms": len(space.rooms),
+        "predicted_rooms": len(space.predicted_rooms),
+        "scorer_id": "made-up",
+        "query_scorer_id": "made-up",
+        "model": {"model": "made-up", "revision": None, "described": {}},
+        "combinations": {PROXY: rows},
+        "decision": {
+            "source": PROXY, "rule": "query", "prior_weight": 0.5, "evidence_power": 3.0
+        },
+    }  # fmt: skip
+
+
+def peak_mb() -> float:
+    """The most memory that this process has held, in megabytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
