@@ -45,7 +45,9 @@ def make(tables: Path, labels: str = "nyuclass", seed: int = 0) -> dict[str, Any
         small = small_arrays(object_room, space)
         twin = write_twin(staging / LOOKUP, space, settings, {PROXY: (small, scores)})
         seconds = time.perf_counter() - started
-        folder.publish(staging, folder.new_name("madeupxx"), twin | settings | manifest(space, rows))
+        folder.publish(
+            staging, folder.new_name("madeupxx"), twin | settings | manifest(space, rows)
+        )
     return {
         "rows": rows,
         "seconds": round(seconds, 2),

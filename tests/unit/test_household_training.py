@@ -15,7 +15,14 @@ from pipeline.household_lm.packing import BOS, batches, train_tokenizer  # noqa:
 from pipeline.household_lm.train import Recipe, Training, export, train  # noqa: E402
 
 RECIPE = Recipe(
-    tokens=6 * 4 * 64, vocabulary=400, width=32, layers=1, inner=48, heads=2, rows=4, length=64,
+    tokens=6 * 4 * 64,
+    vocabulary=400,
+    width=32,
+    layers=1,
+    inner=48,
+    heads=2,
+    rows=4,
+    length=64,
     dropout=0.1,
 )
 

@@ -2,11 +2,11 @@ from pathlib import Path
 
 import duckdb
 import pytest
-from support import HashScorer, small_space, write_space
 
 from roomtables import build
 from roomtables.schemas import TABLE_BY_NAME, TABLES, VERSION_TABLES, data_dictionary
 from roomtables.store import SpaceFolder
+from support import HashScorer, small_space, write_space
 
 
 def test_the_committed_data_dictionary_is_generated():

@@ -165,11 +165,15 @@ class _Making:
             connection.close()
         stages.remove_workspace(staging)
         files = sorted(path for path in staging.rglob("*") if path.is_file())
-        return self._manifest() | twin | {
-            "rows": rows,
-            "combinations": dict(combinations),
-            "files": {path.relative_to(staging).as_posix(): file_facts(path) for path in files},
-        }
+        return (
+            self._manifest()
+            | twin
+            | {
+                "rows": rows,
+                "combinations": dict(combinations),
+                "files": {path.relative_to(staging).as_posix(): file_facts(path) for path in files},
+            }
+        )
 
     def _make_tables(self, connection: duckdb.DuckDBPyConnection) -> None:
         """All tables, in the order of the stages."""

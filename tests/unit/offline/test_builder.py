@@ -107,7 +107,8 @@ def test_query_scores_hold_every_combination(tmp_path, labels, counts):
 
 def test_the_twin_is_the_tables(tmp_path, labels, counts):
     build(tables=tmp_path, labels=labels, scorer=HashScorer(), counts=counts)
-    twin = Twin.open(SpaceFolder(tmp_path, "small").current().path / "lookup")
+    version = SpaceFolder(tmp_path, "small").current()
+    twin = Twin.open(version.path / "lookup", version.manifest)
     for source, arrays in twin.sources.items():
         rows = [r for r in table(tmp_path, "query_scores", "source, key") if r[0] == source]
         assert arrays.keys.tolist() == [row[1] for row in rows]
