@@ -6,12 +6,17 @@ is never scored: it is either a BOS, which is no part of the sentence, or it has
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from roomtables.errors import ModelError
 
 _PROBE = "A room containing toilets is called a bathroom."
+_PROBES = (
+    _PROBE,
+    "a",
+    "Washing machines, rec/game rooms & cafés:  é 中 \n <|endoftext|> [SEP] </s>",
+)
 _UNLIMITED = 1_000_000  # tokenizers without a limit say 1e30
 
 
@@ -26,6 +31,7 @@ class Encoder:
         limits = [size for size in (context, limit) if size and size < _UNLIMITED]
         self.context = int(min(limits)) if limits else None
         self._appended_eos = self._find_appended_eos()
+        self._direct = self._find_direct_call()
 
     def encode(self, sentences: Sequence[str]) -> list[list[int]]:
         """Token ids of each sentence; all but the first are scored.
@@ -35,7 +41,8 @@ class Encoder:
         ModelError
             A sentence is empty, holds nothing to score, or is longer than the model's context.
         """
-        ids = self.call(sentences)["input_ids"]
+        _refuse_empty(sentences, self.name)
+        ids = self._direct(sentences)
         eos = self._appended_eos
         if eos is not None:
             ids = [tokens[:-1] if tokens and tokens[-1] == eos else tokens for tokens in ids]
@@ -51,9 +58,7 @@ class Encoder:
         ModelError
             A sentence is empty or no text.
         """
-        for sentence in sentences:
-            if not isinstance(sentence, str) or not sentence.strip():
-                raise ModelError(f"{self.name} cannot score an empty sentence ({sentence!r})")
+        _refuse_empty(sentences, self.name)
         return self.tokenizer(
             list(sentences),
             padding=False,
@@ -89,6 +94,23 @@ class Encoder:
         known = min(self._vocabulary, len(self.tokenizer))
         return lead, [token for token in range(known) if token not in special] or [0]
 
+    def _find_direct_call(self) -> Callable[[Sequence[str]], list[list[int]]]:
+        """The call without what it wraps around its Rust core, half of its time, where the core
+        alone gives the same tokens."""
+
+        def whole(sentences: Sequence[str]) -> list[list[int]]:
+            ids: list[list[int]] = self.call(sentences)["input_ids"]
+            return ids
+
+        def direct(sentences: Sequence[str]) -> list[list[int]]:
+            core = self.tokenizer.backend_tokenizer
+            return [encoding.ids for encoding in core.encode_batch_fast(list(sentences))]
+
+        try:
+            return direct if direct(_PROBES) == whole(_PROBES) else whole
+        except (AttributeError, TypeError):  # a tokenizer without such a core
+            return whole
+
     def _find_appended_eos(self) -> int | None:
         eos = self.tokenizer.eos_token_id
         whole = self.call([_PROBE])["input_ids"][0]
@@ -97,6 +119,12 @@ class Encoder:
             raise ModelError(f"the tokenizer of {self.name} finds no tokens in {_PROBE!r}")
         appended = whole[-1] == eos and (not bare or bare[-1] != eos)
         return eos if appended else None
+
+
+def _refuse_empty(sentences: Sequence[str], name: str) -> None:
+    for sentence in sentences:
+        if not isinstance(sentence, str) or not sentence.strip():
+            raise ModelError(f"{name} cannot score an empty sentence ({sentence!r})")
 
 
 def quoted(sentence: str) -> str:

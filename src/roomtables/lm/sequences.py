@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +38,7 @@ class Sequences:
 def sort_sequences(encoded: Sequence[Sequence[int]]) -> tuple[Sequences, IntArray]:
     """Sorted distinct sequences, and for each one given its index among them."""
     lengths = np.fromiter(map(len, encoded), np.int64, len(encoded))
-    flat = np.fromiter((token for tokens in encoded for token in tokens), np.int64, lengths.sum())
+    flat = np.fromiter(chain.from_iterable(encoded), np.int64, lengths.sum())
     matrix = np.full((len(encoded), lengths.max(initial=0)), -1, np.int64)
     matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = flat
     order = np.lexsort(matrix.T[::-1])

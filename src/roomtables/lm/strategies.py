@@ -17,7 +17,7 @@ from roomtables.lm.trie import batch_rows, build_trie, cut_rows, lay_out
 Strategy = Callable[[Forward, Sequences, int, Meter], FloatArray]
 
 # Nodes in a row of a packed pass: attention costs the square of it, repeated ancestors its inverse.
-ROW_NODES = 256
+ROW_NODES = 128
 
 
 def trie(
