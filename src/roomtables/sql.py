@@ -1,4 +1,8 @@
-"""SQL over the published tables: every table a view, nothing to write."""
+"""SQL over the published tables: every table a view, nothing to write.
+
+``pipeline/views`` holds further views, ``pipeline/macros`` functions that return tables. Their
+first comment line is what they are described as.
+"""
 
 from __future__ import annotations
 
@@ -12,38 +16,85 @@ from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES
 from roomtables.store import Version
 
 
-def _literal(path: Path | str) -> str:
-    return "'" + str(path).replace("'", "''") + "'"
+def _literal(text: Path | str) -> str:
+    return "'" + str(text).replace("'", "''") + "'"
 
 
-def connect(tables: Path, version: Version) -> Any:
-    """An in-memory DuckDB connection with a view for every table of the version.
+def connect(tables: Path, version: Version, database: Path | str = ":memory:") -> Any:
+    """A DuckDB connection with a view for every table of the version, and the macros.
 
-    Files outside the tables folder cannot be read, and settings cannot be changed.
+    Files outside the tables folder cannot be read, and settings cannot be changed. ``database`` is
+    a new file to hold the views for another program; the tables stay where they are.
     """
     import duckdb
 
-    connection = duckdb.connect()
+    connection = duckdb.connect(str(database))
     for name in VERSION_TABLES:
         path = version.path.resolve() / f"{name}.parquet"
-        connection.execute(f"create view {name} as select * from read_parquet({_literal(path)})")
+        _view(
+            connection,
+            name,
+            f"select * from read_parquet({_literal(path)})",
+            TABLE_BY_NAME[name].grain,
+        )
     _sentence_scores(connection, tables)
-    for path in sorted((pipeline_folder() / "views").glob("*.sql")):
-        connection.execute(f"create view {path.stem} as {path.read_text(encoding='utf-8')}")
+    for path in _in_order(pipeline_folder() / "views"):
+        text = path.read_text(encoding="utf-8")
+        _view(connection, path.stem, text, _described(text))
+    for path in sorted((pipeline_folder() / "macros").glob("*.sql")):
+        connection.execute(path.read_text(encoding="utf-8"))
     connection.execute(f"set allowed_directories = [{_literal(tables.resolve())}]")
     connection.execute("set enable_external_access = false")
     connection.execute("set lock_configuration = true")
     return connection
 
 
+def guide(connection: Any) -> list[dict[str, str]]:
+    """Every view and macro, and what it holds: one row per name."""
+    views = connection.execute(
+        "select view_name, comment from duckdb_views() where not internal order by 1"
+    ).fetchall()
+    rows = [{"name": name, "holds": comment or ""} for name, comment in views]
+    for path in sorted((pipeline_folder() / "macros").glob("*.sql")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        call, meaning = (line.removeprefix("-- ").rstrip(":") for line in lines[:2])
+        rows.append({"name": call, "holds": meaning})
+    return rows
+
+
+def _view(connection: Any, name: str, query: str, comment: str) -> None:
+    connection.execute(f"create view {name} as {query}")
+    connection.execute(f"comment on view {name} is {_literal(comment)}")
+
+
+def _described(text: str) -> str:
+    return text.splitlines()[0].removeprefix("-- ").rstrip(".")
+
+
+def _in_order(folder: Path) -> list[Path]:
+    """The views, those that another one reads before it."""
+    texts = {path: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.sql"))}
+    ordered: list[Path] = []
+    while texts:
+        ready = [
+            path
+            for path, text in texts.items()
+            if not any(other.stem in text.split() for other in texts if other != path)
+        ]
+        for path in ready or list(texts):
+            ordered.append(path)
+            del texts[path]
+    return ordered
+
+
 def _sentence_scores(connection: Any, tables: Path) -> None:
     folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
-    columns = TABLE_BY_NAME["sentence_scores"].columns
-    empty = ", ".join(f"null::{c.type} as {c.name}" for c in columns)
+    table = TABLE_BY_NAME["sentence_scores"]
+    empty = ", ".join(f"null::{c.type} as {c.name}" for c in table.columns)
     files = ", ".join(_literal(part.resolve()) for part in parts)
     held = f"select * from read_parquet([{files}])" if parts else f"select {empty} where false"
-    connection.execute(f"create view sentence_scores as {held}")
+    _view(connection, table.name, held, table.grain)
 
 
 def select(connection: Any, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
