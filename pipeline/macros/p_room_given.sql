@@ -41,10 +41,15 @@ pooled as (
     group by room
 )
 
-select
-    room,
-    evidence_nats,
-    exp(evidence_nats - max(evidence_nats) over ())
-        / sum(exp(evidence_nats - highest)) over () as p_room
-from (select *, max(evidence_nats) over () as highest from pooled)
+-- Evidence that rules out every room leaves them all alike.
+select room, evidence_nats, likelihood / sum(likelihood) over () as p_room
+from (
+    select
+        *,
+        case
+            when isinf(max(evidence_nats) over ()) then 1::double
+            else exp(evidence_nats - max(evidence_nats) over ())
+        end as likelihood
+    from pooled
+)
 order by p_room desc, room

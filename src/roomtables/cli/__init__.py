@@ -6,11 +6,12 @@ import click
 
 from roomtables.cli.common import Group
 from roomtables.cli.evaluating import evaluate_command
+from roomtables.cli.exploring import sql_command
 from roomtables.cli.labelling import classify
 from roomtables.cli.scenes import label, rooms, show
 from roomtables.cli.serve import serve
 from roomtables.cli.spaces import labels
-from roomtables.cli.tables import build_command, sql_command, status
+from roomtables.cli.tables import build_command, status
 
 
 @click.group(cls=Group)

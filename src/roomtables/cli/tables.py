@@ -1,4 +1,4 @@
-"""Commands that make tables and look at them: build, status, sql."""
+"""Commands that make tables and look at them: build, status."""
 
 from __future__ import annotations
 
@@ -107,24 +107,3 @@ def _describe(version: Version) -> dict[str, Any]:
         "combinations": sum(manifest["combinations"].values()),
         "bytes": sum(path.stat().st_size for path in version.path.rglob("*") if path.is_file()),
     }
-
-
-@click.command("sql")
-@click.argument("query")
-@tables_option
-@labels_option
-@format_option()
-@output_option
-def sql_command(query: str, tables: Path, labels: str, format_: str, output: Path | None) -> None:
-    """Ask the published tables in SQL; every table is a view, nothing can be written.
-
-    \b
-    Example:
-      roomtables sql "select object, entropy_nats from entropy order by 2 limit 5"
-    """
-    from roomtables.sql import connect, select
-
-    connection = connect(tables, SpaceFolder(tables, Path(labels).name).current())
-    columns, rows = select(connection, query)
-    records = [dict(zip(columns, row, strict=True)) for row in rows]
-    emit(render(records, format_, columns), output)
