@@ -67,7 +67,7 @@ class Part:
         try:
             found = pq.read_metadata(path)
             footer = json.loads((found.metadata or {}).get(FOOTER_KEY.encode(), b"{}"))
-            known = found.schema.to_arrow_schema().remove_metadata()
+            columns = [(c.name, c.type) for c in found.schema.to_arrow_schema()]
             replaces = frozenset(map(str, footer.get("replaces", ())))
             part = cls(
                 path,
@@ -78,7 +78,7 @@ class Part:
             )
         except (pa.ArrowException, OSError, ValueError, AttributeError, TypeError) as error:
             raise StoreError(f"{path} is damaged; {_RECOVERY}") from error
-        if not known.equals(PART_SCHEMA):
+        if columns != [(c.name, c.type) for c in PART_SCHEMA]:
             raise StoreError(f"{path} has other columns than sentence_scores; {_RECOVERY}")
         return part
 

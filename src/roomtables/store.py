@@ -189,6 +189,20 @@ class SpaceFolder:
         write_aside(self.path / CURRENT, f"{version.name}\n".encode())
         return Version.open(version)
 
+    def named(self, name: str) -> Version:
+        """The version of a name.
+
+        Raises
+        ------
+        StoreError
+            There is none of this name.
+        """
+        for path in self.versions():
+            if path.name == name:
+                return Version.open(path)
+        there = ", ".join(path.name for path in self.versions()) or "none"
+        raise StoreError(f"no version {name!r} in {self.path}; there is {there}")
+
     def before(self, version: Version) -> Version:
         """The newest version that is older than the given one.
 

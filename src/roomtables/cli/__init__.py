@@ -11,7 +11,8 @@ from roomtables.cli.labelling import classify
 from roomtables.cli.scenes import label, rooms, show
 from roomtables.cli.serve import serve
 from roomtables.cli.spaces import labels
-from roomtables.cli.tables import build_command, status
+from roomtables.cli.tables import build_command, plan_command
+from roomtables.cli.upkeep import compact, diff, gc, rollback, status
 
 
 @click.group(cls=Group)
@@ -32,9 +33,14 @@ def main() -> None:
 for command in (
     build_command,
     classify,
+    compact,
+    diff,
     evaluate_command,
+    gc,
     label,
     labels,
+    plan_command,
+    rollback,
     rooms,
     serve,
     show,

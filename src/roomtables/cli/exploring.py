@@ -21,6 +21,8 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import InputError, MissingExtraError
+from roomtables.locks import held
+from roomtables.parts import SCORES
 from roomtables.sql import connect, guide, select
 from roomtables.store import SpaceFolder, Version
 
@@ -52,6 +54,7 @@ def sql_command(
     if ui and (query or output):
         raise click.UsageError("--ui takes no QUERY and no -o")
     version = SpaceFolder(tables, Path(labels).name).current()
+    click.get_current_context().with_resource(held(version.path, *(tables / SCORES).glob("*")))
     if ui:
         _harlequin(tables, version)
         return

@@ -1,49 +1,67 @@
-"""Commands that make tables and look at them: build, status."""
+"""Commands that make tables and look into them: build, plan."""
 
 from __future__ import annotations
 
+import signal
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from roomtables.cli.common import (
+    Command,
     as_json,
     emit,
     format_option,
-    labels_option,
     output_option,
     render,
     tables_option,
 )
 from roomtables.config import DTYPES, ENGINES, SCORINGS, BuildConfig
 from roomtables.schemas import REDUCTIONS
-from roomtables.store import SpaceFolder, Version
+
+if TYPE_CHECKING:
+    from roomtables.offline.plan import Plan
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
+_OPTIONS = (
+    click.option("--config", type=_FILE, help="A build.toml; options win over it."),
+    click.option("--labels", help="Label space: a built-in name, or a folder.  [default: mpcat40]"),
+    click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
+    click.option("--revision", help="Branch, tag or commit of a hub model."),
+    click.option("--dtype", type=click.Choice(DTYPES), help="Compute precision."),
+    click.option("--device", help="auto, cpu or cuda.  [default: auto]"),
+    click.option("--scoring", type=click.Choice(SCORINGS), help="Force the kind of scoring."),
+    click.option("-k", type=int, help="Objects in a query sentence.  [default: 3]"),
+    click.option("--reduction", type=click.Choice(REDUCTIONS), help="Of log probabilities."),
+    click.option("--smoothing", type=float, help="Added to each count.  [default: 1 / rooms]"),
+    click.option("--counts", type=_FILE, help="CSV (object, room, count), or labelled room lines."),
+    click.option("--scores", type=_FILE, help="CSV of scores that stand in for the model."),
+    click.option("--combinations", help="all, none, misses, or a file of room lines."),
+    click.option("--engine", type=click.Choice(ENGINES), help="Where sentences are scored."),
+    click.option("--workers", type=int, help="Of engine ray.  [default: as many as fit]"),
+    click.option("--full-refresh", is_flag=True, default=None, help="Score everything afresh."),
+)
+
+
+def build_options(command: Command) -> Command:
+    """The options that `build` and `plan` share."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
 @click.command("build")
-@click.option("--config", type=_FILE, help="A build.toml; options win over it.")
-@click.option("--labels", help="Label space: a built-in name, or a folder.  [default: mpcat40]")
+@build_options
 @tables_option
-@click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]")
-@click.option("--revision", help="Branch, tag or commit of a hub model.")
-@click.option("--dtype", type=click.Choice(DTYPES), help="Compute precision.")
-@click.option("--device", help="auto, cpu or cuda.  [default: auto]")
-@click.option("--scoring", type=click.Choice(SCORINGS), help="Force the kind of scoring.")
-@click.option("-k", type=int, help="Objects in a query sentence.  [default: 3]")
-@click.option("--reduction", type=click.Choice(REDUCTIONS), help="Of log probabilities.")
-@click.option("--smoothing", type=float, help="Added to each count.  [default: 1 / rooms]")
-@click.option("--counts", type=_FILE, help="CSV (object, room, count), or labelled room lines.")
-@click.option("--scores", type=_FILE, help="CSV of scores that stand in for the model.")
-@click.option("--combinations", help="all, none, misses, or a file of room lines.")
-@click.option("--engine", type=click.Choice(ENGINES), help="Where sentences are scored.")
-@click.option("--full-refresh", is_flag=True, default=None, help="Score everything afresh.")
+@click.option("--wait", is_flag=True, help="Wait for another build in this folder to end.")
 @format_option("table", "json")
-def build_command(config: Path | None, tables: Path, format_: str, **options: Any) -> None:
+def build_command(
+    config: Path | None, tables: Path, wait: bool, format_: str, **options: Any
+) -> None:
     """Build and publish the tables of a label space.
 
     Only what is missing is scored; a build that is stopped goes on where it was.
@@ -55,7 +73,10 @@ def build_command(config: Path | None, tables: Path, format_: str, **options: An
     """
     from roomtables.offline.builder import build
 
-    report = build(BuildConfig.load(config, **options), tables=tables, progress=sys.stderr.isatty())
+    # A service manager's stop is as clean as Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    found = BuildConfig.load(config, **options)
+    report = build(found, tables=tables, progress=sys.stderr.isatty(), wait=wait)
     if format_ == "json":
         emit(as_json(report.as_json()))
         return
@@ -67,43 +88,70 @@ def build_command(config: Path | None, tables: Path, format_: str, **options: An
     )
 
 
-@click.command()
+@click.command("plan")
+@build_options
 @tables_option
-@labels_option
 @format_option("table", "json")
 @output_option
-def status(tables: Path, labels: str, format_: str, output: Path | None) -> None:
-    """Say what is published: model, label space, rows, size, age.
+def plan_command(
+    config: Path | None, tables: Path, format_: str, output: Path | None, **options: Any
+) -> None:
+    """Say what `build` would do with the same options, and why; nothing is written.
+
+    \b
+    States: cached (nothing to do), missing, stale (why: model, code or input changed).
 
     \b
     Example:
-      roomtables status --format json
+      roomtables plan --labels nyuclass --format json
     """
-    version = SpaceFolder(tables, Path(labels).name).current()
-    found = _describe(version)
-    if format_ == "json":
-        emit(as_json(found), output)
-    else:
-        rows = [{"what": key, "value": value} for key, value in found.items()]
-        emit(render(rows, "table", ["what", "value"]), output)
+    from roomtables.offline.plan import plan
+
+    found = plan(BuildConfig.load(config, **options), tables=tables)
+    emit(as_json(found.as_json()) if format_ == "json" else _plan_text(found), output)
 
 
-def _describe(version: Version) -> dict[str, Any]:
-    manifest = version.manifest
-    model = manifest["model"]
-    return {
-        "labels": manifest["labels"],
-        "version": version.name,
-        "created": manifest["created"],
-        "age_hours": round((datetime.now(UTC) - version.created).total_seconds() / 3600, 2),
-        "scorer_id": manifest["scorer_id"],
-        "query_scorer_id": manifest["query_scorer_id"],
-        "model": model["model"],
-        "strategy": model["described"].get("strategy"),
-        "objects": manifest["objects"],
-        "rooms": manifest["rooms"],
-        "predicted_rooms": manifest["predicted_rooms"],
-        "sources": list(manifest["combinations"]),
-        "combinations": sum(manifest["combinations"].values()),
-        "bytes": sum(path.stat().st_size for path in version.path.rglob("*") if path.is_file()),
-    }
+def _plan_text(plan: Plan) -> str:
+    """The plan as a person reads it: stages, what they cost, what they cover."""
+    published = plan.published or "nothing is published"
+    rows = [
+        {
+            "stage": stage.stage,
+            "state": stage.state,
+            "why": stage.why,
+            "sentences": f"{stage.sentences:,}" if stage.sentences else "",
+        }
+        for stage in plan.stages
+    ]
+    cover = plan.coverage
+    most = "" if plan.exact else "at most "
+    return (
+        f"{plan.labels}: {published}; model {plan.scorer_id or 'none'}\n\n"
+        f"{render(rows, 'table')}\n"
+        f"to score: {most}{plan.sentences_to_score:,} sentences{_cost(plan)}\n"
+        f"coverage: {cover.asked:,} of {cover.combinations:,} combinations"
+        f"{_rest(cover.rest_sentences, cover.rest_seconds)}\n"
+    )
+
+
+def _cost(plan: Plan) -> str:
+    if not plan.sentences_to_score:
+        return ""
+    if plan.seconds is None:
+        return " (how long that takes shows after the first build of this model)"
+    return (
+        f", {plan.tokens or 0:,} tokens, {_duration(plan.seconds)} at "
+        f"{plan.sentences_per_second:,.0f} sentences a second"
+    )
+
+
+def _rest(sentences: int, seconds: float | None) -> str:
+    if not sentences:
+        return ""
+    takes = "" if seconds is None else f", {_duration(seconds)}"
+    return f"; the rest would take {sentences:,} sentences{takes}"
+
+
+def _duration(seconds: float) -> str:
+    hours, rest = divmod(round(seconds), 3600)
+    return f"{hours:,} h {rest // 60} min" if hours else f"{rest // 60} min {rest % 60} s"

@@ -52,14 +52,15 @@ class SentenceCache:
         self._generation: list[str] | None = None
 
     def parts(self) -> list[Part]:
-        """The parts that count, by name.
+        """The parts that count, by name; those of a killed build's workers too.
 
         Raises
         ------
         StoreError
             A part is not a readable Parquet file, or is a link out of the tables folder.
         """
-        return live_parts(all_parts(self.folder))
+        folders = [self.folder, *sorted(self.folder.glob(f"{_RUN}*"))]
+        return live_parts([part for folder in folders for part in all_parts(folder)])
 
     def verify(self) -> None:
         """Read every part and compare it with its name.

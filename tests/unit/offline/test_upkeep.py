@@ -1,0 +1,220 @@
+"""Old versions, score parts, the version before, what changed: keeping a tables folder in order."""
+
+import os
+from datetime import UTC, datetime, timedelta
+
+import duckdb
+import pytest
+
+from roomtables import build
+from roomtables.errors import StoreError
+from roomtables.labels import LabelSpace
+from roomtables.locks import held
+from roomtables.offline.cache import SentenceCache
+from roomtables.offline.diff import compare
+from roomtables.offline.upkeep import collect_garbage, compact, roll_back
+from roomtables.scorer import SentenceScore
+from roomtables.store import SpaceFolder
+from support import HashScorer, small_space, write_space
+
+SPACE = small_space()
+
+
+@pytest.fixture
+def labels(tmp_path):
+    return str(write_space(tmp_path / "labels", SPACE))
+
+
+@pytest.fixture
+def tables(tmp_path):
+    return tmp_path / "tables"
+
+
+def make(tables, labels, *sizes, name="hash@1"):
+    for k in sizes:
+        build(tables=tables, labels=labels, scorer=HashScorer(name), k=k)
+    return SpaceFolder(tables, "small")
+
+
+def rows_of(cache):
+    return sorted(duckdb.sql(cache.select()).fetchall())
+
+
+def test_gc_keeps_the_newest_and_the_published(tables, labels):
+    space = make(tables, labels, 1, 2)
+    one, two = (path.name for path in space.versions())
+    roll_back(tables, "small")
+    assert [row.path for row in collect_garbage(tables, keep=1)] == []
+    assert [path.name for path in space.versions()] == [one, two]
+    make(tables, labels, 3)
+    removed = collect_garbage(tables, keep=1)
+    assert [(row.path, row.what) for row in removed] == [(f"small/{two}", "old version")]
+    assert removed[0].bytes > 0
+    assert space.current().path == space.versions()[-1]
+
+
+def test_gc_keeps_what_a_reader_holds(tables, labels):
+    space = make(tables, labels, 1)
+    old = space.current()
+    with held(old.path):
+        make(tables, labels, 2, 3)  # each build keeps two versions, and this one
+        assert len(space.versions()) == 3
+        assert collect_garbage(tables) == []
+        assert old.path.is_dir()
+    assert [row.path for row in collect_garbage(tables)] == [f"small/{old.name}"]
+
+
+def test_gc_removes_what_killed_builds_left(tables, labels):
+    space = make(tables, labels, 1)
+    (space.path / ".staging-1").mkdir()
+    (space.path / "000009-half").mkdir()
+    (tables / "scores" / "hash@1" / ".77.tmp").write_bytes(b"x")
+    run = SentenceCache(tables, "hash@1").run_folder()
+    run.append(["a finished piece"], [SentenceScore(-1.0, 3)])
+    (run.folder / "shard-000001.parquet").write_bytes(b"half")
+    removed = {row.path for row in collect_garbage(tables)}
+    assert {"small/.staging-1", "small/000009-half"} <= removed
+    left = [path.name for path in (tables / "scores" / "hash@1").iterdir()]
+    assert all(name.startswith("part-") for name in left)
+    assert "a finished piece" in {row[1] for row in rows_of(SentenceCache(tables, "hash@1"))}
+
+
+def test_gc_of_unused_scores(tables, labels):
+    make(tables, labels, 1, name="hash@1")
+    make(tables, labels, 1, 2, name="hash@2")
+    assert (tables / "scores" / "hash@1").is_dir()
+    removed = collect_garbage(tables, keep=1, unused_scores=True)
+    assert [row.path for row in removed if row.what.startswith("scores")] == ["scores/hash@1"]
+    assert build(tables=tables, labels=labels, scorer=HashScorer("hash@2"), k=2).published is False
+
+
+def test_compact_merges_and_nothing_changes(tables, labels):
+    make(tables, labels, 1, 2, 3)
+    cache = SentenceCache(tables, "hash@1")
+    before = rows_of(cache)
+    (done,) = compact(tables)
+    assert (done.scorer_id, done.parts_before, done.parts_after) == ("hash@1", 3, 1)
+    assert rows_of(cache) == before
+    assert len(list(cache.folder.glob("part-*"))) == 1
+    assert compact(tables)[0].parts_after == 1
+    scorer = HashScorer()
+    report = build(tables=tables, labels=labels, scorer=scorer, k=3)
+    assert (scorer.asked, report.published) == ([], False)
+
+
+def test_compact_leaves_readers_their_files(tables, labels):
+    make(tables, labels, 1, 2)
+    cache = SentenceCache(tables, "hash@1")
+    select, before = cache.select(), rows_of(cache)
+    with held(cache.folder):
+        compact(tables)
+        assert sorted(duckdb.sql(select).fetchall()) == before  # the reader's own, retired
+        assert rows_of(cache) == before
+        assert len(list(cache.folder.glob("part-*"))) == 3
+    removed = collect_garbage(tables)
+    assert [row.what for row in removed] == ["retired", "retired"]
+    assert rows_of(cache) == before
+
+
+def test_compact_removes_doubles(tables):
+    cache = SentenceCache(tables, "m@1")
+    cache.append(["a", "b"], [SentenceScore(-1.0, 1), SentenceScore(-2.0, 1)])
+    cache.append(["b", "c"], [SentenceScore(-2.0, 1), SentenceScore(-3.0, 1)])
+    compact(tables)
+    assert [row[1:3] for row in rows_of(cache)] == [("a", -1.0), ("b", -2.0), ("c", -3.0)]
+
+
+def test_a_part_written_after_a_refresh_is_not_one_that_it_retired(tables):
+    cache = SentenceCache(tables, "m@1")
+    connection = duckdb.connect()
+    connection.execute("create table needed as select 'a' as sentence")
+    with held(cache.folder):  # so that the retired part stays
+        for _ in range(3):
+            cache.append(["a"], [SentenceScore(-1.0, 1)])
+            assert len(rows_of(cache)) == 1
+            cache.evict(connection, "needed")
+            assert rows_of(cache) == []
+
+
+def test_a_repeated_piece_of_work_counts_once(tables):
+    cache = SentenceCache(tables, "m@1")
+    cache.append(["a", "b"], [SentenceScore(-1.0, 1), SentenceScore(-2.0, 1)])
+    cache.append(["a", "b"], [SentenceScore(-1.0000001, 1), SentenceScore(-2.0, 1)])
+    assert [row[1] for row in rows_of(cache)] == ["a", "b"]
+
+
+def test_rollback_and_the_next_build(tables, labels):
+    space = make(tables, labels, 1, 2)
+    one, two = (path.name for path in space.versions())
+    left, now = roll_back(tables, "small")
+    assert (left.name, now.name, space.current().name) == (two, one, one)
+    with pytest.raises(StoreError, match="nothing came before"):
+        roll_back(tables, "small")
+    report = build(tables=tables, labels=labels, scorer=HashScorer(), k=2)
+    assert report.published
+    assert report.sentences_scored == 0
+    assert report.version.startswith("000003-")
+
+
+def test_rollback_to_a_damaged_version_is_refused(tables, labels):
+    space = make(tables, labels, 1, 2)
+    current = space.current().name
+    (space.versions()[0] / "entropy.parquet").write_bytes(b"x")
+    with pytest.raises(StoreError, match=r"entropy.parquet is damaged"):
+        roll_back(tables, "small")
+    assert space.current().name == current
+
+
+def test_diff_names_what_moved(tables, labels, tmp_path):
+    space = make(tables, labels, 2)
+    objects = (*SPACE.objects[1:], *LabelSpace.named("x", ["lamp"], ["x"]).objects)
+    write_space(tmp_path / "labels", LabelSpace("small", objects, SPACE.rooms))
+    make(tables, labels, 2)
+    same = compare(space.current(), space.current())
+    assert (same.objects, same.settings) == ([], {})
+    found = compare(space.before(space.current()), space.current())
+    moved = {row["object"]: row for row in found.objects}
+    assert set(moved) == {"bed", "lamp"}
+    assert moved["bed"]["entropy_after"] is None
+    assert moved["lamp"]["entropy_before"] is None
+    # pairs of the three that stayed, and they themselves
+    assert found.combinations == [
+        {"source": "proxy", "held_in_both": 6, "added": 4, "removed": 4, "other_room": 0}
+    ]
+
+
+def test_diff_of_two_models_puts_other_rooms_first(tables, labels):
+    space = make(tables, labels, 1)
+    make(tables, labels, 1, name="hash@2")
+    found = compare(space.before(space.current()), space.current())
+    assert found.settings["scorer_id"] == ("hash@1", "hash@2")
+    other = [row["first_room_before"] != row["first_room_after"] for row in found.objects]
+    assert other == sorted(other, reverse=True)
+    for group in (True, False):
+        changes = [
+            abs(row["entropy_change"])
+            for row, moved in zip(found.objects, other, strict=True)
+            if moved is group
+        ]
+        assert changes == sorted(changes, reverse=True)
+
+
+@pytest.mark.parametrize("action", [collect_garbage, compact, lambda t: roll_back(t, "small")])
+def test_no_folder_is_made_for_upkeep(tables, action):
+    with pytest.raises(StoreError, match=r"no tables in .*roomtables build"):
+        action(tables)
+    assert not tables.exists()
+
+
+def test_a_clock_that_goes_backwards(tables, labels, monkeypatch):
+    space = make(tables, labels, 1)
+    past = (datetime.now(UTC) - timedelta(days=400)).isoformat(timespec="seconds")
+    monkeypatch.setattr("roomtables.offline.builder.utc_now", lambda: past)
+    make(tables, labels, 2)
+    assert space.current().manifest["created"] == past
+    assert space.current().name.startswith("000002-")
+    old = datetime.now().timestamp() - 10**8
+    for path in tables.rglob("*"):
+        os.utime(path, (old, old))
+    assert collect_garbage(tables) == []
+    assert roll_back(tables, "small")[1].name.startswith("000001-")
