@@ -214,7 +214,7 @@ def compare(title: str, folder: Path, combinations: int, peers: int, repeats: in
     for name, method in PEERS.items():
         try:
             score = method(folder, some)
-            speed = len(some) / cpu_seconds(score)
+            speed = len(some) / cpu_seconds(score, 3)
         except Exception as error:  # a peer's fault is a line of the table
             print(f"{name:34} {'-':>12} {'-':>7}  {type(error).__name__}: {str(error)[:60]!r}")
             continue

@@ -31,7 +31,12 @@ TOKENIZER_SETTINGS = (
     "merges.txt",
     "bpe.codes",
 )
-HUB_PATTERNS = ["*.safetensors", "*.safetensors.index.json", "config.json"]
+HUB_PATTERNS = [
+    "model.safetensors",
+    "model-*.safetensors",
+    "model.safetensors.index.json",
+    "config.json",
+]
 PICKLES = ("pytorch_model*.bin", "*.pt", "*.pth", "*.ckpt")
 
 
@@ -50,7 +55,7 @@ class ModelFolder:
         if index.is_file():
             shards = set(_read_json(index, self.name).get("weight_map", {}).values())
             return [self.path / shard for shard in sorted(shards)]
-        return sorted(self.path.glob("*.safetensors"))
+        return [file for file in [self.path / "model.safetensors"] if file.is_file()]
 
     def tokenizer_files(self) -> list[Path]:
         """Every file that decides how text becomes tokens, sorted by name."""
@@ -71,18 +76,17 @@ def resolve(model: str, revision: str | None = None) -> ModelFolder:
     """
     if not model.strip():
         raise ModelError("the model's name is empty; give --model a hub name or a folder")
-    local = Path(model).expanduser()
-    if model == EMBEDDED_MODEL and not local.is_dir():
-        local = EMBEDDED_FOLDER
+    local = EMBEDDED_FOLDER if model == EMBEDDED_MODEL else Path(model).expanduser()
     if local.is_dir():
-        path, commit = local.resolve(), None
+        path, commit = Path(os.path.abspath(local)), None
         name = path.name
     elif model == EMBEDDED_MODEL or _is_path(model):
         raise ModelError(f"no model folder at {local}; give --model an existing folder")
     else:
         path, commit = _from_hub(model, revision)
         name = model.replace("/", "--")
-    return _checked(model, re.sub(r"[^A-Za-z0-9._-]+", "-", name), path, commit)
+    safe = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "model"
+    return _checked(model, safe, path, commit)
 
 
 def _is_path(model: str) -> bool:
@@ -101,7 +105,7 @@ def _checked(model: str, name: str, path: Path, commit: str | None) -> ModelFold
         if pickled:
             raise _pickled(model, pickled[0])
         raise ModelError(
-            f"{model}: no weights (*.safetensors) in {path}; "
+            f"{model}: no weights (model.safetensors) in {path}; "
             "save the model there with save_pretrained()"
         )
     for file in weights:
@@ -155,9 +159,9 @@ def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
     except Exception as error:  # whichever HTTP library, whatever broke: no network
         return _from_hub_cache(model, revision, patterns, error)
     files = [sibling.rfilename for sibling in info.siblings or []]
-    if not any(file.endswith(".safetensors") for file in files):
+    if not {"model.safetensors", "model.safetensors.index.json"} & set(files):
         pickled = [file for file in files if Path(file).match("*.bin") or Path(file).match("*.pt")]
-        raise _pickled(model, (pickled or ["no safetensors"])[0])
+        raise _pickled(model, (pickled or ["no model.safetensors"])[0])
     try:
         path = huggingface_hub.snapshot_download(
             model, revision=info.sha, allow_patterns=patterns, etag_timeout=HUB_TIMEOUT_SECONDS

@@ -51,10 +51,13 @@ def load(
     forward = Forward(network)
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
     backend: CausalBackend | MaskedBackend
-    if kind == "causal":
-        backend = CausalBackend(forward, encoder, budget)
-    else:
-        backend = MaskedBackend(forward, encoder, whole_words=kind == "pll_word_l2r")
+    try:
+        if kind == "causal":
+            backend = CausalBackend(forward, encoder, budget)
+        else:
+            backend = MaskedBackend(forward, encoder, whole_words=kind == "pll_word_l2r")
+    except torch.cuda.OutOfMemoryError as error:
+        raise _too_large(folder, dtype) from error
     _log.info("%s on %s: strategy %s", identity, place, backend.strategy)
     return SentenceScorer(
         backend,
@@ -114,16 +117,20 @@ def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> An
     except RoomtablesError:
         raise
     except torch.cuda.OutOfMemoryError as error:
-        raise ModelError(
-            f"{folder.name} does not fit into the GPU's memory in {dtype}; "
-            "try --dtype float16, or --device cpu"
-        ) from error
+        raise _too_large(folder, dtype) from error
     except Exception as error:  # unknown architecture, damaged weights, shapes that disagree
         raise ModelError(
             f"{folder.name}: transformers {transformers.__version__} cannot load it as a "
             f"{'causal' if kind == 'causal' else 'masked'} language model ({_one_line(error)}); "
             "use another --model"
         ) from error
+
+
+def _too_large(folder: ModelFolder, dtype: str) -> ModelError:
+    return ModelError(
+        f"{folder.name} does not fit into the GPU's memory in {dtype}; "
+        "try --dtype float16, or --device cpu"
+    )
 
 
 def _refuse_foreign_code(folder: ModelFolder) -> None:

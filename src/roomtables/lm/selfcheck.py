@@ -128,13 +128,20 @@ def in_float32(forward: Forward) -> Iterator[None]:
     cast = [(tensor, tensor.dtype) for tensor in tensors if tensor.dtype in half]
     if sum(tensor.numel() for tensor, _ in cast) > _LARGEST_IN_FLOAT32:
         cast = []
-    try:
-        for tensor, _ in cast:
-            tensor.data = tensor.data.to(torch.float32)
-        yield
-    finally:
+
+    def back() -> None:
         for tensor, dtype in cast:
             tensor.data = tensor.data.to(dtype)
+
+    try:
+        try:
+            for tensor, _ in cast:
+                tensor.data = tensor.data.to(torch.float32)
+        except torch.cuda.OutOfMemoryError:
+            back()
+        yield
+    finally:
+        back()
 
 
 def _one_line(error: Exception) -> str:

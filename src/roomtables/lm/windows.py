@@ -82,7 +82,7 @@ class SentenceScorer:
         return self.backend.strategy
 
     def describe(self) -> Mapping[str, str]:
-        """Provenance for a manifest; None of it but the scorer's identity changes a score."""
+        """Provenance for a manifest: model, revision, dtype, device, strategy, versions."""
         return dict(self._provenance)
 
     def score(self, sentences: Sequence[str]) -> list[SentenceScore]:

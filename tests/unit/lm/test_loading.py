@@ -214,3 +214,15 @@ class TestHub:
     def test_a_name_that_is_none(self) -> None:
         with pytest.raises(ModelError, match="check --model"):
             load_scorer("not a name")
+
+
+def test_the_embedded_model_is_the_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "household-lm").mkdir()  # a folder of that name elsewhere does not stand in for it
+    monkeypatch.chdir(tmp_path)
+    assert identify().startswith("household-lm@")
+    scorer = load_scorer()
+    bathroom, kitchen = scorer.score(
+        [f"A room containing toilets is called a {room}." for room in ("bathroom", "kitchen")]
+    )
+    assert scorer.strategy == "trie"
+    assert bathroom.log_prob > kitchen.log_prob
