@@ -103,7 +103,8 @@ def render(
         return as_json([dict(row) for row in rows])
     if format_ == "jsonl":
         return "".join(as_json_line(row) for row in rows)
-    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    float_format = "" if format_ == "csv" else ".4g"  # CSV is for programs: nothing rounded
+    cells = [[_cell(row.get(name), float_format) for name in names] for row in rows]
     if format_ == "csv":
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
@@ -142,11 +143,11 @@ def emit_lines(lines: Iterable[str], output: Path | None) -> None:
         click.echo(line, nl=False)
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Any, float_format: str) -> str:
     if value is None:
         return ""
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return format(value, float_format)
     if isinstance(value, list | tuple):
-        return ", ".join(_cell(item) for item in value)
+        return ", ".join(_cell(item, float_format) for item in value)
     return str(value)
