@@ -11,6 +11,7 @@ from typing import Any
 
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
+from roomtables.misses import FOLDER, Misses
 from roomtables.parts import SCORES, all_parts, live_parts
 from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES
 from roomtables.store import Version
@@ -38,6 +39,7 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
             TABLE_BY_NAME[name].grain,
         )
     _sentence_scores(connection, tables)
+    _misses(connection, version)
     for path in _in_order(pipeline_folder() / "views"):
         text = path.read_text(encoding="utf-8")
         _view(connection, path.stem, text, _described(text))
@@ -95,6 +97,20 @@ def _sentence_scores(connection: Any, tables: Path) -> None:
     files = ", ".join(_literal(part.resolve()) for part in parts)
     held = f"select * from read_parquet([{files}])" if parts else f"select {empty} where false"
     _view(connection, table.name, held, table.grain)
+
+
+def _misses(connection: Any, version: Version) -> None:
+    """The misses that no build has taken in."""
+    import pyarrow as pa
+
+    types = {"source": pa.string(), "objects": pa.list_(pa.string()), "times_asked": pa.int64()}
+    schema = pa.schema([*types.items(), ("last_asked", pa.timestamp("us"))])
+    found = Misses.read(version.path.parent / FOLDER).open
+    rows = [miss._asdict() | {"last_asked": miss.last_asked.replace(tzinfo=None)} for miss in found]
+    connection.register("noted", pa.Table.from_pylist(rows, schema))
+    connection.execute("create table noted_misses as select * from noted")
+    connection.unregister("noted")
+    _view(connection, "misses", "select * from noted_misses", TABLE_BY_NAME["misses"].grain)
 
 
 def select(connection: Any, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:

@@ -8,6 +8,7 @@ from roomtables.cli.common import Group
 from roomtables.cli.evaluating import evaluate_command
 from roomtables.cli.exploring import sql_command
 from roomtables.cli.labelling import classify
+from roomtables.cli.robot import misses_command
 from roomtables.cli.scenes import label, rooms, show
 from roomtables.cli.serve import serve
 from roomtables.cli.spaces import labels
@@ -39,6 +40,7 @@ for command in (
     gc,
     label,
     labels,
+    misses_command,
     plan_command,
     rollback,
     rooms,

@@ -80,14 +80,16 @@ def build(
     inputs = Inputs.read(config)
     model = LazyScorer(config, scorer)
     scorer_id = model.scorer_id if inputs.needs_model else None
-    fingerprints = stage_fingerprints(inputs, scorer_id)
     root = Path(tables)
     with build_lock(root, wait):
+        inputs = inputs.asking(root)
+        fingerprints = stage_fingerprints(inputs, scorer_id)
         space = SpaceFolder(root, inputs.labels.name)
         cache = open_cache(root, scorer_id)
         current = space.published()
         decided = decide(fingerprints, current, cache, config.full_refresh)
         if current and all(stage.state == CACHED for stage in decided):
+            inputs.asked.answered()
             return _report(current, 0, started, published=False)
         making = _Making(inputs, model, cache, progress)
         with interruptible(space.path), space.staging() as staging:
@@ -100,6 +102,7 @@ def build(
             }
             manifest["model"]["described"] = making.described(current)
             version = space.publish(staging, space.new_name(manifest["inputs"]), manifest)
+        inputs.asked.answered()
         space.remove_old()
     return _report(version, version.manifest["sentences_scored"], started, published=True)
 

@@ -57,7 +57,8 @@ def _stages(inputs: Inputs, scorer_id: str | None) -> dict[str, _Own]:
     config, labels = inputs.config, inputs.labels
     imported = inputs.scores.fingerprint if inputs.scores else None
     settings: dict[str, Any] = {"template": config.template, "reduction": config.reduction}
-    asked = config.combinations if inputs.rooms is None else inputs.rooms
+    every = config.combinations in {"all", "none"}
+    asked = config.combinations if every else [inputs.rooms, inputs.asked.fingerprint()]
     evidence = {
         "counts": inputs.counts.fingerprint if inputs.counts else None,
         "scores": imported,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from roomtables.config import BuildConfig, load_labels
 from roomtables.labels import LabelSpace
+from roomtables.offline.asked import Asked
 from roomtables.offline.combinations import check_key_size
 from roomtables.offline.pairs import PairValues, read_counts, read_scores
 from roomtables.rooms import read_room_lines
@@ -21,7 +22,8 @@ class Inputs:
     Attributes
     ----------
     rooms : the objects of each room whose combination is to be scored; ``None`` where the
-        settings ask for all combinations or for none
+        settings ask for no file's rooms
+    asked : combinations that misses, or what is published, ask for besides
     """
 
     config: BuildConfig
@@ -30,6 +32,7 @@ class Inputs:
     counts: PairValues | None
     scores: PairValues | None
     rooms: Sequence[Sequence[str]] | None
+    asked: Asked
 
     @classmethod
     def read(cls, config: BuildConfig) -> Inputs:
@@ -49,7 +52,12 @@ class Inputs:
             read_counts(config.counts, labels) if config.counts else None,
             read_scores(config.scores, labels, config.reduction) if config.scores else None,
             _rooms(config.combinations),
+            Asked({}),
         )
+
+    def asking(self, tables: Path) -> Inputs:
+        """These, and what the misses and the published version under ``tables`` ask for."""
+        return replace(self, asked=Asked.read(self.config.combinations, self.labels, tables))
 
     @property
     def smoothing(self) -> float:
@@ -64,7 +72,7 @@ class Inputs:
 
 
 def _rooms(combinations: str) -> Sequence[Sequence[str]] | None:
-    if combinations in {"all", "none"}:
+    if combinations in {"all", "none", "misses"}:
         return None
     return sorted(
         {tuple(sorted(set(room.objects))) for room in read_room_lines(Path(combinations))}

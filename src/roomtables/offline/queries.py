@@ -66,17 +66,25 @@ def load_queries(connection: duckdb.DuckDBPyConnection, inputs: Inputs) -> None:
             "select object from entropy where source = ? order by rank", [source]
         ).fetchall()
         by_rank = [label for (label,) in ordered]
-        _load_source(connection, inputs, source, by_rank, _combinations(inputs, by_rank))
+        ranks = _combinations(inputs, source, by_rank)
+        _load_source(connection, inputs, source, by_rank, ranks)
 
 
-def _combinations(inputs: Inputs, by_rank: list[str]) -> Ranks:
+def _combinations(inputs: Inputs, source: str, by_rank: list[str]) -> Ranks:
+    """The combinations that the settings ask for, ``[n, k]``, as ranks of the source."""
     k = inputs.config.k
-    if inputs.rooms is not None:
-        ranks = {label: rank for rank, label in enumerate(by_rank, start=1)}
-        return combinations_of_rooms(inputs.rooms, inputs.labels, ranks, k)
     if inputs.config.combinations == "all":
         return all_combinations(len(by_rank), k)
-    return np.zeros((0, k), np.int64)
+    rank_of = {label: rank for rank, label in enumerate(by_rank, start=1)}
+    in_label_order = [rank_of[label.label] for label in inputs.labels.objects]
+    asked = inputs.asked.ranked(source, in_label_order, k)
+    if inputs.rooms is None:
+        needed = asked
+    else:
+        rooms = combinations_of_rooms(inputs.rooms, inputs.labels, rank_of, k)
+        needed = np.concatenate([rooms, asked])
+    _, first = np.unique(pack_keys(needed, k), return_index=True)
+    return needed[first]
 
 
 def _load_source(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from roomtables.errors import StoreError
 from roomtables.labels import RoomLabel
+from roomtables.misses import FOLDER, MissLog
 from roomtables.online import batch
 from roomtables.online.decider import Decision, TableDecider
 from roomtables.online.model import QueryModel
@@ -39,13 +40,21 @@ class RoomTables:
     'bathroom'
     """
 
-    def __init__(self, version: Version, twin: Twin, model: QueryModel, decision: Decision) -> None:
+    def __init__(
+        self,
+        version: Version,
+        twin: Twin,
+        model: QueryModel,
+        decision: Decision,
+        misses: MissLog | None = None,
+    ) -> None:
         self.version = version
         self.twin = twin
         self.decision = decision
         self._model = model
+        self._misses = misses
         self._decider = TableDecider(twin, decision, model)
-        self._open = OpenVocabulary(self._decider, model)
+        self._open = OpenVocabulary(self._decider, model, misses)
         self._vocabulary = Vocabulary(twin.object_aliases, self._decider.ranks())
         self._rank_of = self._vocabulary.__getitem__
 
@@ -58,6 +67,7 @@ class RoomTables:
         scorer: Scorer | None = None,
         offline: bool = False,
         verify: bool = False,
+        note_misses: bool = True,
         **decision: Any,
     ) -> RoomTables:
         """Open the published version of a label space.
@@ -69,6 +79,7 @@ class RoomTables:
         scorer : a language model for misses; by default the one the tables were built with
         offline : never load a language model
         verify : read and hash every byte of the lookup files first
+        note_misses : append to ``misses/`` each combination that no table holds
         decision : ``rule``, ``source``, ``prior_weight`` (λ), ``evidence_power`` (γ), ``rooms``
             (candidates); what is absent is as the build's settings say
 
@@ -79,15 +90,18 @@ class RoomTables:
         InputError
             A candidate room is unknown and no model may be asked about it.
         """
-        version, twin = _open_published(SpaceFolder(Path(tables), Path(labels).name), verify)
+        space = SpaceFolder(Path(tables), Path(labels).name)
+        version, twin = _open_published(space, verify)
+        misses = MissLog(space.path / FOLDER) if note_misses else None
         model = QueryModel(version.manifest, scorer, allowed=not offline)
         settings = dict(version.manifest["decision"])
         settings |= {name: value for name, value in decision.items() if value is not None}
-        return cls(version, twin, model, Decision(**settings))
+        return cls(version, twin, model, Decision(**settings), misses)
 
     def deciding(self, **changes: Any) -> RoomTables:
         """The same tables and model under another rule, source, λ, γ or candidates."""
-        return RoomTables(self.version, self.twin, self._model, replace(self.decision, **changes))
+        decision = replace(self.decision, **changes)
+        return RoomTables(self.version, self.twin, self._model, decision, self._misses)
 
     @property
     def candidates(self) -> tuple[RoomLabel, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roomtables.labels import ObjectLabel
+from roomtables.misses import MissLog
 from roomtables.online import rules
 from roomtables.online.decider import KnownObject, TableDecider
 from roomtables.online.model import QueryModel
@@ -35,9 +36,12 @@ class Question:
 class OpenVocabulary:
     """Answers what needs the language model, in batched passes, where there is one."""
 
-    def __init__(self, decider: TableDecider, model: QueryModel) -> None:
+    def __init__(
+        self, decider: TableDecider, model: QueryModel, misses: MissLog | None = None
+    ) -> None:
         self._decider = decider
         self._model = model
+        self._misses = misses
 
     def can_ask(self) -> bool:
         """Whether an unlisted object can be ranked among the listed ones; loads the model."""
@@ -97,6 +101,7 @@ class OpenVocabulary:
         compared = [self._look_up(objects) for objects in picked]
         answered_by = [TABLE if row is not None else NONE for row in compared]
         missed = [at for at, row in enumerate(compared) if row is None and picked[at]]
+        self._note_misses([picked[at] for at in missed])
         rooms = self._decider.candidates.rooms
         asked = [([known.label for known in picked[at]], rooms) for at in missed]
         answers = self._model.score(asked) if asked else None
@@ -106,6 +111,13 @@ class OpenVocabulary:
             self._predict(question, row, by)
             for question, row, by in zip(questions, compared, answered_by, strict=True)
         ]
+
+    def _note_misses(self, missed: Sequence[Sequence[KnownObject]]) -> None:
+        """Note combinations of listed objects, which a build can put into the tables."""
+        if self._misses is not None and self._decider.candidates.in_tables:
+            listed = [picked for picked in missed if all(known.rank for known in picked)]
+            labels = [[known.label.label for known in picked] for picked in listed]
+            self._misses.note(self._decider.decision.source, labels)
 
     def _look_up(self, picked: Sequence[KnownObject]) -> NDArray[np.floating] | None:
         ranks = [known.rank for known in picked if known.rank is not None]
