@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,7 @@ def status(
     if format_ == "json":
         emit(as_json(found), output)
     else:
+        found["coverage"] = _in_words(found["coverage"])
         rows = [{"what": key, "value": value} for key, value in found.items()]
         emit(render(rows, "table", ["what", "value"]), output)
 
@@ -106,8 +108,35 @@ def _describe(version: Version) -> dict[str, Any]:
         "predicted_rooms": manifest["predicted_rooms"],
         "sources": list(manifest["combinations"]),
         "combinations": held,
+        "coverage": _coverage(manifest),
         "bytes": sum(path.stat().st_size for path in version.path.rglob("*") if path.is_file()),
     }
+
+
+def _coverage(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """How many of the possible combinations are held, and what scoring the rest would take."""
+    from roomtables.offline.combinations import count_all
+
+    held = sum(manifest["combinations"].values())
+    sources = len(manifest["combinations"])
+    possible = sources * count_all(manifest["objects"], manifest["k"])
+    sentences = (possible - held) * manifest["predicted_rooms"]
+    speed = (manifest.get("rate") or {}).get("sentences_per_second")
+    return {
+        "combinations": possible,
+        "held": held,
+        "rest_sentences": sentences,
+        "rest_seconds": round(sentences / speed, 1) if speed else None,
+    }
+
+
+def _in_words(coverage: Mapping[str, Any]) -> str:
+    seconds = coverage["rest_seconds"]
+    took = f", about {seconds:,.0f} s" if seconds else ""
+    return (
+        f"{coverage['held']:,} of {coverage['combinations']:,} combinations; "
+        f"the rest: {coverage['rest_sentences']:,} sentences{took}"
+    )
 
 
 @click.command()

@@ -88,9 +88,9 @@ def plan(
         As the build would raise before it scores anything.
     """
     config = replace(config, **options) if config else BuildConfig.load(**options)
-    inputs = Inputs.read(config)
-    model = LazyScorer(config, scorer)
     root = Path(tables)
+    inputs = Inputs.read(config).asking(root)
+    model = LazyScorer(config, scorer)
     cache = SentenceCache(root, model.scorer_id) if inputs.needs_model else None
     if cache:
         cache.verify()

@@ -149,3 +149,30 @@ def test_the_misses_command_lists_what_no_table_held(
     missing = CliRunner().invoke(main, ["misses", "--tables", str(tmp_path), "--labels", "nowhere"])
     assert missing.exit_code == 1
     assert "no tables for nowhere" in missing.output
+
+
+def test_status_says_how_much_is_held_and_what_the_rest_takes(
+    tmp_path: Path, options: dict[str, object]
+) -> None:
+    from click.testing import CliRunner
+
+    from roomtables.cli import main
+
+    build(scorer=HashScorer(), **options)
+    command = ["status", "--tables", str(tmp_path), "--labels", "small"]
+    found = json.loads(CliRunner().invoke(main, [*command, "--format", "json"]).output)
+    assert found["combinations"] == 2
+    coverage = found["coverage"]
+    assert (coverage["combinations"], coverage["held"]) == (2 * (4 + 6 + 4), 2)
+    assert coverage["rest_sentences"] == (28 - 2) * 3
+    assert "2 of 28 combinations" in CliRunner().invoke(main, command).output
+
+
+def test_plan_counts_the_misses(tmp_path: Path, options: dict[str, object]) -> None:
+    from roomtables.offline.plan import plan
+
+    build(scorer=HashScorer(), **options)
+    MissLog(tmp_path / "small" / "misses").note("proxy", [("sink", "stove")])
+    found = plan(scorer=HashScorer(), **options | {"combinations": "misses"})
+    assert found.sentences_to_score == 3
+    assert found.coverage.asked == 3
