@@ -5,9 +5,10 @@ from __future__ import annotations
 import click
 
 from roomtables.cli.common import Group
-from roomtables.cli.evaluating import evaluate_command
+from roomtables.cli.evaluating import evaluate_command, report_command
 from roomtables.cli.exploring import sql_command
 from roomtables.cli.labelling import classify
+from roomtables.cli.reproducing import paper_command
 from roomtables.cli.robot import misses_command
 from roomtables.cli.scenes import label, rooms, show
 from roomtables.cli.serve import serve
@@ -38,6 +39,8 @@ for command in (
     diff,
     evaluate_command,
     gc,
+    paper_command,
+    report_command,
     label,
     labels,
     misses_command,

@@ -60,7 +60,7 @@ def evaluate_command(
     """
     if sweeps and (conditions or statistics or plot_calibration):
         raise click.UsageError("--sweep goes with --plot alone")
-    _check_plots(plot, plot_calibration)
+    check_plots(plot, plot_calibration)
     asked = parse_conditions(conditions) if conditions else ()
     opened = RoomTables.open(tables, labels, **decision)
     as_text = format_ != "json"
@@ -83,7 +83,7 @@ def evaluate_command(
     _draw("calibration", evaluations, plot_calibration)
 
 
-def _check_plots(*paths: Path | None) -> None:
+def check_plots(*paths: Path | None) -> None:
     """Refuse a picture that cannot be drawn before the work is done."""
     if any(paths):
         from roomtables.report.plots import check_plot
@@ -171,3 +171,26 @@ def _sweep_text(swept: Sweep) -> str:
     ]
     notes = "".join(f"not varied: {note}\n" for note in swept.notes)
     return render(rows, "table") + "\n" + notes
+
+
+@click.command("report")
+@click.argument("rooms_file", metavar="[ROOMS]", required=False, type=_FILE)
+@tables_option
+@labels_option
+@decision_options
+@click.option("-o", "--output", type=_FILE, required=True, help="The HTML file to write.")
+def report_command(
+    rooms_file: Path | None, tables: Path, labels: str, output: Path, **decision: Any
+) -> None:
+    """Write one self-contained page about the tables; with labelled ROOMS also how they do.
+
+    \b
+    Example:
+      roomtables report -o tables.html
+      roomtables report rooms.jsonl --rule pooled -o tables.html
+    """
+    from roomtables.report.page import report
+
+    text = report(RoomTables.open(tables, labels, **decision), rooms_file)
+    emit(text, output)
+    click.echo(f"wrote {output}")
