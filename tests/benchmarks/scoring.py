@@ -276,7 +276,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         if options.model != "household-lm":
             gpt2 = save_gpt2(Path(scratch) / "gpt2-124m")
-            compare("GPT-2, 124M random weights", gpt2, 50 * scale, scale, 1)
+            compare("GPT-2, 124M random weights", gpt2, 50 * scale, 1, 1)
         if options.model != "gpt2":
             embedded = Path(scratch) / EMBEDDED_FOLDER.name
             embedded.symlink_to(EMBEDDED_FOLDER)
