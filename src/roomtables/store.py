@@ -225,8 +225,6 @@ class SpaceFolder:
         refuse_outside(self.path.parent, self.path)
         with writing(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        for abandoned in self.path.glob(f"{_STAGING}*"):
-            shutil.rmtree(abandoned, ignore_errors=True)
         folder = self.path / f"{_STAGING}{os.getpid()}"
         try:
             with writing(folder):
@@ -234,6 +232,12 @@ class SpaceFolder:
             yield folder
         finally:
             shutil.rmtree(folder, ignore_errors=True)
+
+    def remove_abandoned(self) -> None:
+        """Remove what a killed build was writing aside; only for whoever holds the build lock."""
+        refuse_outside(self.path.parent, self.path)
+        for abandoned in self.path.glob(f"{_STAGING}*"):
+            shutil.rmtree(abandoned, ignore_errors=True)
 
     def remove_old(self, keep: int = KEPT_VERSIONS) -> list[str]:
         """Remove all but the newest versions, the current one, and those that a reader holds.
@@ -244,7 +248,8 @@ class SpaceFolder:
         current = self.published()
         removed = []
         for path in self.versions()[: -max(keep, 1)]:
-            if (current is None or path != current.path) and not is_held(path):
+            kept = current is not None and path == current.path
+            if not kept and not path.is_symlink() and not is_held(path):
                 with writing(path):
                     (path / MANIFEST).unlink()
                     shutil.rmtree(path)

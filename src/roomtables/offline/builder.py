@@ -79,31 +79,38 @@ def build(
     config = replace(config, **options) if config else BuildConfig.load(**options)
     inputs = Inputs.read(config)
     model = LazyScorer(config, scorer)
+    with build_lock(Path(tables), wait):
+        return _build(inputs, model, Path(tables), progress, started)
+
+
+def _build(
+    inputs: Inputs, model: LazyScorer, tables: Path, progress: bool, started: float
+) -> BuildReport:
+    """Decide, make, publish; for whoever holds the build lock."""
     scorer_id = model.scorer_id if inputs.needs_model else None
-    root = Path(tables)
-    with build_lock(root, wait):
-        inputs = inputs.asking(root)
-        fingerprints = stage_fingerprints(inputs, scorer_id)
-        space = SpaceFolder(root, inputs.labels.name)
-        cache = open_cache(root, scorer_id)
-        current = space.published()
-        decided = decide(fingerprints, current, cache, config.full_refresh)
-        if current and all(stage.state == CACHED for stage in decided):
-            inputs.asked.answered()
-            return _report(current, 0, started, published=False)
-        making = _Making(inputs, model, cache, progress)
-        with interruptible(space.path), space.staging() as staging:
-            manifest = making.run(staging) | {
-                "inputs": combined(fingerprints),
-                "stages": {name: found._asdict() for name, found in fingerprints.items()},
-                "rate": making.rate(current),
-                "created": utc_now(),
-                "seconds": round(time.monotonic() - started, 3),
-            }
-            manifest["model"]["described"] = making.described(current)
-            version = space.publish(staging, space.new_name(manifest["inputs"]), manifest)
+    inputs = inputs.asking(tables)
+    fingerprints = stage_fingerprints(inputs, scorer_id)
+    space = SpaceFolder(tables, inputs.labels.name)
+    space.remove_abandoned()
+    cache = open_cache(tables, scorer_id)
+    current = space.published()
+    decided = decide(fingerprints, current, cache, inputs.config.full_refresh)
+    if current and all(stage.state == CACHED for stage in decided):
         inputs.asked.answered()
-        space.remove_old()
+        return _report(current, 0, started, published=False)
+    making = _Making(inputs, model, cache, progress)
+    with interruptible(space.path), space.staging() as staging:
+        manifest = making.run(staging) | {
+            "inputs": combined(fingerprints),
+            "stages": {name: found._asdict() for name, found in fingerprints.items()},
+            "rate": making.rate(current),
+            "created": utc_now(),
+            "seconds": round(time.monotonic() - started, 3),
+        }
+        manifest["model"]["described"] = making.described(current)
+        version = space.publish(staging, space.new_name(manifest["inputs"]), manifest)
+    inputs.asked.answered()
+    space.remove_old()
     return _report(version, version.manifest["sentences_scored"], started, published=True)
 
 

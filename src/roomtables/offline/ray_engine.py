@@ -8,6 +8,7 @@ actor repeats a shard, and the death of the driver loses the shards that were un
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Iterator
@@ -36,16 +37,32 @@ SHARD_SENTENCES = 65_536
 
 
 class ShardWriter:
-    """An actor: one model, which scores shard after shard."""
+    """An actor: one model, which scores shard after shard.
+
+    What a user can correct comes back as a row's ``error``, in its own words: Ray would repeat the
+    work and wrap the message.
+    """
 
     def __init__(self, config: BuildConfig, model: LazyScorer, cache: SentenceCache) -> None:
-        self.scorer = model.load()
         self.cache = cache
-        check_identity(self.scorer, cache)
+        self.failure = ""
+        try:
+            self.scorer = model.load()
+            check_identity(self.scorer, cache)
+        except RoomtablesError as error:
+            self.failure = str(error)
 
     def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
-        """Score the shard file that the row names; its part's name, rows and tokens."""
-        sentences = pq.read_table(row["shard"]).column("sentence").to_pylist()
+        """Score the shard file that the row names: sentences, tokens, and an error or none."""
+        if not self.failure:
+            try:
+                return {**self._score(row["shard"]), "error": ""}
+            except RoomtablesError as error:
+                self.failure = str(error)
+        return {"sentences": 0, "tokens": 0, "error": self.failure}
+
+    def _score(self, shard: str) -> dict[str, int]:
+        sentences = pq.read_table(shard).column("sentence").to_pylist()
         found = list(scored(self.scorer, iter(sentences)))
         scores = [score for _, score in found]
         self.cache.append([sentence for sentence, _ in found], scores)
@@ -63,12 +80,14 @@ def score_on_ray(work: Work) -> Scored:
     run = work.cache.run_folder()
     shards = _write_shards(work, run.folder)
     started_here = not ray.is_initialized()
+    logging.getLogger("ray").setLevel(logging.ERROR)
     if started_here:
         ray.init(log_to_driver=False, configure_logging=False)
     try:
         return _run(work, run, shards)
     except RayError as error:
-        raise _cause(error) from error
+        said = str(error).strip().splitlines()[0]
+        raise ModelError(f"Ray failed: {said}; run `roomtables build` to go on") from error
     finally:
         work.cache.end_runs()
         if started_here:
@@ -95,6 +114,8 @@ def _run(work: Work, run: SentenceCache, shards: list[Path]) -> Scored:
     with bar:
         for row in rows.iter_rows():
             work.cache.adopt()
+            if row["error"]:
+                raise ModelError(row["error"])
             done.sentences += row["sentences"]
             done.tokens += row["tokens"]
             bar.update(row["sentences"])
@@ -113,7 +134,7 @@ def _actors(config: BuildConfig, shards: int) -> tuple[dict[str, float], int]:
 
 def _write_shards(work: Work, folder: Path) -> list[Path]:
     """The sentences of ``todo`` as Parquet files for the actors to read."""
-    size = min(SHARD_SENTENCES, -(-work.total // (config_workers(work.config) * 4)))
+    size = min(SHARD_SENTENCES, -(-work.total // (_workers_expected(work.config) * 4)))
     shards = []
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -123,7 +144,7 @@ def _write_shards(work: Work, folder: Path) -> list[Path]:
     return shards
 
 
-def config_workers(config: BuildConfig) -> int:
+def _workers_expected(config: BuildConfig) -> int:
     """How many workers share the work, before the cluster is known."""
     return config.workers or os.cpu_count() or 1
 
@@ -131,18 +152,3 @@ def config_workers(config: BuildConfig) -> int:
 def _chunks(sentences: Iterator[str], size: int) -> Iterator[list[str]]:
     while chunk := list(islice(sentences, size)):
         yield chunk
-
-
-def _cause(error: BaseException) -> RoomtablesError:
-    """The error that an actor met, in its own words."""
-    seen: BaseException | None = error
-    while seen is not None:
-        if isinstance(seen, RoomtablesError):
-            return (
-                type(seen)(*seen.args)
-                if not isinstance(seen, RayError)
-                else ModelError(str(seen.cause))
-            )
-        seen = getattr(seen, "cause", None) or seen.__cause__
-    last = str(error).strip().splitlines()[-1]
-    return ModelError(f"a Ray worker failed: {last}; run `roomtables build` to go on")

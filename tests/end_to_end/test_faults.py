@@ -1,0 +1,244 @@
+"""Builds that are killed, interrupted, run twice at once, or run out of disk."""
+
+import os
+import resource
+import signal
+import stat
+import subprocess
+import sys
+import textwrap
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from faults import run_faults
+from roomtables import build
+from roomtables.errors import RoomtablesError, StoreError
+from roomtables.locks import build_lock
+from roomtables.offline.cache import SentenceCache
+from roomtables.store import SpaceFolder
+from support import HashScorer, small_space, write_space
+
+TESTS = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def labels(tmp_path):
+    return str(write_space(tmp_path / "labels", small_space()))
+
+
+def start(code, *args):
+    """A child that runs some code and says so once it is under way."""
+    paths = [str(TESTS), str(TESTS.parent / "src"), os.environ.get("PYTHONPATH", "")]
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code), *map(str, args)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+    )
+    assert process.stdout.readline() == "ready\n", process.stderr.read()
+    return process
+
+
+HOLD = """
+    import pathlib, sys, time
+    from roomtables.locks import build_lock
+    with build_lock(pathlib.Path(sys.argv[1])):
+        print("ready", flush=True)
+        time.sleep(float(sys.argv[2]))
+"""
+# The command line with a model that takes a second per sentence.
+SLOW = """
+    import sys, time
+    import roomtables.offline.builder as builder
+    from faults import SlowScorer
+    from roomtables.cli import main
+    real = builder.LazyScorer
+    builder.LazyScorer = lambda config, scorer: real(config, SlowScorer("hash@1", 0.2))
+    print("ready", flush=True)
+    main(["build", "--tables", sys.argv[1], "--labels", sys.argv[2]])
+"""
+
+
+@pytest.mark.slow
+def test_killed_builds_lose_nothing_and_readers_never_notice(tmp_path):
+    done = run_faults(tmp_path, kills=3, seed=2)
+    assert done["kills"] == 3
+    assert done["looks"] > 4
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_build_keeps_what_it_scored(tmp_path, labels, number):
+    process = start(SLOW, tmp_path / "t", labels)
+    while not list((tmp_path / "t").glob("small/.staging-*")):
+        time.sleep(0.01)
+    time.sleep(0.7)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert said.splitlines()[-1] == "interrupted; what is scored is kept"
+    assert "Traceback" not in said
+    scorer = HashScorer()
+    report = build(tables=tmp_path / "t", labels=labels, scorer=scorer)
+    assert report.sentences_cached > 0
+    assert report.sentences_cached + len(scorer.asked) == 46
+    assert list((tmp_path / "t" / "small").glob(".staging-*")) == []
+
+
+def test_the_second_build_says_who_holds_the_lock(tmp_path, labels):
+    process = start(HOLD, tmp_path, 60)
+    said = rf"is being built by process {process.pid} on .* since 20.*--wait"
+    with pytest.raises(StoreError, match=said):
+        build(tables=tmp_path, labels=labels, scorer=HashScorer())
+    process.kill()
+    process.wait()
+    # What a dead process left in the lock file locks nothing.
+    assert f"process {process.pid}" in (tmp_path / ".build-lock").read_text()
+    assert build(tables=tmp_path, labels=labels, scorer=HashScorer()).published
+    assert (tmp_path / ".build-lock").read_text() == ""
+
+
+def test_the_second_build_waits_when_asked(tmp_path, labels):
+    process = start(HOLD, tmp_path, 1)
+    report = build(tables=tmp_path, labels=labels, scorer=HashScorer(), wait=True)
+    assert process.wait() == 0
+    assert report.published
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_folder_is_named(tmp_path, labels):
+    tables = tmp_path / "t"
+    tables.mkdir()
+    tables.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    with pytest.raises(StoreError, match=r"cannot write to .*Permission denied.*--tables DIR"):
+        build(tables=tables, labels=labels, scorer=HashScorer())
+
+
+def test_a_file_where_a_folder_should_be(tmp_path, labels):
+    (tmp_path / "t").write_text("")
+    with pytest.raises(StoreError, match="cannot write to"):
+        build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
+    (tmp_path / "u").mkdir()
+    (tmp_path / "u" / "small").write_text("")
+    with pytest.raises(StoreError, match="cannot write"):
+        build(tables=tmp_path / "u", labels=labels, scorer=HashScorer())
+
+
+@pytest.mark.parametrize("size", [0, 1000, 4000])
+def test_a_disk_that_is_full_publishes_nothing(tmp_path, labels, size):
+    before = build(tables=tmp_path, labels=labels, scorer=HashScorer(), k=1).version
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
+    try:
+        with pytest.raises(StoreError, match=r"cannot .*(again|writable)"):
+            build(tables=tmp_path, labels=labels, scorer=HashScorer("hash@2"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    assert SpaceFolder(tmp_path, "small").current().name == before
+    SpaceFolder(tmp_path, "small").current().verify()
+    assert build(tables=tmp_path, labels=labels, scorer=HashScorer("hash@2")).published
+
+
+def damage_truncate(path):
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def damage_flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(content)
+
+
+def damage_empty(path):
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("damage", [damage_truncate, damage_flip, damage_empty, Path.unlink])
+def test_a_damaged_table_is_named_and_the_next_build_makes_it_again(tmp_path, labels, damage):
+    build(tables=tmp_path, labels=labels, scorer=HashScorer())
+    for name in ("query_scores.parquet", "lookup/lookup.json"):
+        version = SpaceFolder(tmp_path, "small").current()
+        damage(version.path / name)
+        with pytest.raises(StoreError, match=rf"{Path(name).name} is damaged.*`roomtables build`"):
+            version.verify()
+        report = build(tables=tmp_path, labels=labels, scorer=HashScorer())
+        assert (report.published, report.sentences_scored) == (True, 0)
+        SpaceFolder(tmp_path, "small").current().verify()
+
+
+@pytest.mark.parametrize("damage", [damage_truncate, damage_flip, damage_empty])
+def test_a_damaged_part_is_named_and_scored_again_once_removed(tmp_path, labels, damage):
+    build(tables=tmp_path, labels=labels, scorer=HashScorer(), k=1)
+    build(tables=tmp_path, labels=labels, scorer=HashScorer())
+    part = sorted(SentenceCache(tmp_path, "hash@1").folder.glob("part-*"))[0]
+    damage(part)
+    with pytest.raises(StoreError, match=rf"{part.name} is damaged.*remove it and run") as error:
+        build(tables=tmp_path, labels=labels, scorer=HashScorer())
+    assert "\n" not in str(error.value)
+    part.unlink()
+    report = build(tables=tmp_path, labels=labels, scorer=HashScorer())
+    assert report.sentences_scored in (16, 30)  # what the one part held, or the other
+
+
+def published(tables):
+    return SpaceFolder(tables, "small").current()
+
+
+def held(tables):
+    return SentenceCache(tables, "hash@1").select()
+
+
+LINKED = {
+    "small": published,
+    "small/CURRENT": published,
+    "small/0*": published,
+    "small/0*/lookup": published,
+    "scores/hash@1": held,
+    "scores/hash@1/part-*": held,
+}
+
+
+@pytest.mark.parametrize("which", LINKED)
+def test_links_out_of_the_folder_are_refused(tmp_path, labels, which):
+    tables = tmp_path / "t"
+    build(tables=tables, labels=labels, scorer=HashScorer())
+    path = min(tables.glob(which))
+    moved = tmp_path / f"moved-{path.name}"
+    path.rename(moved)
+    path.symlink_to(moved)
+    before = sorted((found, found.stat().st_mtime_ns) for found in moved.rglob("*"))
+    with pytest.raises(RoomtablesError, match="is a symbolic link out of"):
+        LINKED[which](tables)
+    # A build refuses it or makes a version of its own; what the link names is not touched.
+    with suppress(RoomtablesError):
+        for k in (1, 2, 3):
+            build(tables=tables, labels=labels, scorer=HashScorer(), k=k)
+    assert sorted((found, found.stat().st_mtime_ns) for found in moved.rglob("*")) == before
+
+
+def test_a_link_to_the_tables_folder_itself_is_fine(tmp_path, labels):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "t").symlink_to(tmp_path / "disk")
+    build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
+    assert SpaceFolder(tmp_path / "t", "small").current().manifest["labels"] == "small"
+
+
+def test_names_that_are_not_text(tmp_path, labels):
+    tables = tmp_path / os.fsdecode(b"caf\xe9")
+    with pytest.raises(StoreError, match="is not a UTF-8 name"):
+        build(tables=tables, labels=labels, scorer=HashScorer())
+    build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
+    stray = tmp_path / "t" / os.fsdecode(b"small-\xff")
+    stray.mkdir()
+    report = build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
+    assert not report.published
+
+
+def test_the_lock_is_free_again_after_a_failure(tmp_path):
+    with pytest.raises(ZeroDivisionError), build_lock(tmp_path):
+        1 / 0  # noqa: B018
+    with build_lock(tmp_path):
+        assert (tmp_path / ".build-lock").read_text().startswith(f"process {os.getpid()} on ")
