@@ -180,10 +180,10 @@ def _vote(
     climb: Callable[[int], frozenset[int]],
     distance: Callable[[int, int], float],
 ) -> int | None:
-    ways = [(room, parent) for parent in parents for room in climb(parent)]
-    reached = {room for room, _ in ways}
+    reached: set[int] = set().union(*map(climb, parents))
     if len(reached) <= 1:
         return next(iter(reached), None)
+    ways = [(room, parent) for parent in parents for room in climb(parent)]
     votes = Counter(room for room, _ in ways)
     best = max(votes.values())
     near = [(distance(child, parent), room) for room, parent in ways if votes[room] == best]

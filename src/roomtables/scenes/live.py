@@ -21,6 +21,8 @@ from roomtables.scenes.sparkdsg import graph_class
 # What decoding a message may allocate: a forged length field must not take the robot's memory.
 _LEAST_BYTES = 512 << 20
 _BYTES_PER_MESSAGE_BYTE = 64
+_INDEX_BITS = 56
+_OBJECT_LETTERS = frozenset(map(ord, "Oo"))
 
 
 class LiveGraph:
@@ -45,9 +47,10 @@ class LiveGraph:
     ) -> dict[str, tuple[str, ...]]:
         graph = self._graph
         rooms = {node.id.value: key for key, node in self._rooms.items()}
+        parents = _parents_below(graph, rooms)
         owner = rooms_of(
             objects,
-            lambda key: graph.get_node(key).parents(),
+            lambda key: parents.get(key, ()),
             rooms.__contains__,
             lambda child, parent: math.dist(graph.get_position(child), graph.get_position(parent)),
         )
@@ -117,6 +120,20 @@ class GraphCodec:
 def _nodes(graph: Any, layer: str) -> Iterable[Any]:
     nodes: Iterable[Any] = graph.get_layer(layer).nodes if graph.has_layer(layer) else ()
     return nodes
+
+
+def _parents_below(graph: Any, rooms: Iterable[int]) -> dict[int, list[int]]:
+    """The parents of all that lies below the rooms: few nodes are asked, as most are objects."""
+    parents: dict[int, list[int]] = {}
+    asked, todo = set(rooms), list(rooms)
+    while todo:
+        parent = todo.pop()
+        for child in graph.get_node(parent).children():
+            parents.setdefault(child, []).append(parent)
+            if child not in asked and child >> _INDEX_BITS not in _OBJECT_LETTERS:
+                asked.add(child)
+                todo.append(child)
+    return parents
 
 
 def _object_labels(graph: Any) -> dict[int, int]:
