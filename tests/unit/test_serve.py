@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from roomtables.cli.naming import Namer
-from roomtables.errors import InputError
+from roomtables.errors import InputError, ModelError
 from roomtables.online.classifier import RoomTables
 from roomtables.online.serve import Counters, Labeller, Service
 from scene_builders import node_id
@@ -234,6 +234,27 @@ def test_without_a_model_the_pooled_answer_stands(sparse: Path) -> None:
     assert answers["R1"].room is None
     assert not labeller.learn()
     labeller.close()
+
+
+def test_a_model_that_fails_is_told_once_and_asked_no_more(
+    sparse: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Failing(FitScorer):
+        def score(self, sentences: Any) -> Any:
+            self.calls += 1
+            raise ModelError("out of order")
+
+    scorer = Failing()
+    asking = RoomTables.open(sparse, "flat", scorer=scorer)
+    labeller = Labeller(RoomTables.open(sparse, "flat", offline=True), asking)
+    for objects in (["oven"], ["bed"], ["oven", "bed"]):
+        assert labeller.label({"R0": objects})["R0"].rule == "pooled"
+    deadline = time.monotonic() + 20
+    while "out of order" not in caplog.text and time.monotonic() < deadline:
+        time.sleep(0.01)
+    labeller.close()
+    assert caplog.text.count("no model from here on (out of order)") == 1
+    assert scorer.calls == 1
 
 
 def test_an_unchanged_room_is_not_decided_again(opened: RoomTables) -> None:

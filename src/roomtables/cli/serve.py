@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import signal
 import threading
@@ -63,6 +64,7 @@ def serve(
     Example:
       roomtables serve --labelspace ade20k_mp3d_label_space.yaml
     """
+    logging.addLevelName(logging.INFO, "info")
     logging.getLogger("roomtables").setLevel(logging.INFO)
     opened = RoomTables.open(tables, labels, offline=True, **decision)
     asking = None if offline else RoomTables.open(tables, labels, **decision)
@@ -76,6 +78,8 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     click.echo(f"labelling rooms of {recv}, publishing on {send}; Ctrl-C ends it", err=True)
+    gc.collect()
+    gc.freeze()  # what is loaded by now stays; to look it over again would hold graphs up
     try:
         service.run(stop, report_every)
     finally:

@@ -14,6 +14,7 @@ import threading
 import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, Full, Queue
 from typing import Any, Protocol
@@ -91,9 +92,10 @@ class Labeller:
 
     def close(self) -> None:
         """Let the model's thread end with the question it is at."""
-        if self._thread is not None:
-            while not self._questions.empty():
-                self._questions.get_nowait()
+        if self._thread is not None and self._thread.is_alive():
+            with suppress(Empty):
+                while True:
+                    self._questions.get_nowait()
             self._questions.put(None)
 
     def _answer(self, objects: frozenset[str]) -> Prediction:
@@ -120,13 +122,13 @@ class Labeller:
             log.warning("the model is %d questions behind; one is dropped", _MOST_QUESTIONS)
 
     def _ask_model(self) -> None:
-        assert self._asking is not None
-        while (objects := self._questions.get()) is not None:
+        while self._asking is not None and (objects := self._questions.get()) is not None:
             try:
                 answer = self._asking.classify(sorted(objects))
             except (RoomtablesError, MemoryError) as error:
-                log.warning("the model did not answer (%s); rule pooled stands", error)
-                continue
+                log.warning("no model from here on (%s); rule pooled stands", error)
+                self._asking = None
+                return
             if answer.answered_by == LM:
                 self._news.put((objects, answer))
 

@@ -67,9 +67,9 @@ def _provenance(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _letters(graph: Graph) -> dict[int, str]:
     letters = {ord(letter): name for letter, name in ROOM_NAMES.items()}
-    unset = UNSET | {0, 21, None}
-    labels = {graph.attributes(room).get("semantic_label") for room in graph.rooms} - unset
-    return letters if labels <= letters.keys() else {}
+    labels = [graph.attributes(room).get("semantic_label") for room in graph.rooms]
+    known = {label for label in labels if isinstance(label, int)} - UNSET - {0, 21}
+    return letters if known <= letters.keys() else {}
 
 
 def graph_scene(graph: Graph, name: str, options: ReadOptions) -> Scene:

@@ -14,7 +14,7 @@ from typing import Any
 from roomtables.errors import InputError
 from roomtables.scenes.dsg_values import symbol
 
-OBJECT_TYPES = frozenset({"ObjectNodeAttributes", "KhronosObjectAttributes"})
+OBJECT_TYPES = ("ObjectNodeAttributes", "KhronosObjectAttributes")
 _DEFAULT_LAYERS = {"OBJECTS": 2, "ROOMS": 4}
 
 
@@ -144,7 +144,7 @@ def label_spaces(document: Mapping[str, Any], source: str) -> dict[str, dict[int
         try:
             items = pairs.items() if isinstance(pairs, dict) else pairs
             found[key] = {int(label): str(name) for label, name in items}
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"{source}: label space {key} is not a list of [id, name] pairs"
             ) from error

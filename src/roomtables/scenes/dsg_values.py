@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 from roomtables.errors import InputError
-from roomtables.scenes.scene import Box, Point
+from roomtables.scenes.scene import Box, Point, are_finite, as_point
 
-_INVALID_BOXES = frozenset({"INVALID", 0})
+_INVALID_BOXES = ("INVALID", 0)
 
 
 def symbol(node: int) -> str:
@@ -69,8 +68,7 @@ def _turned(size: Point, rotation: object, where: str) -> Point:
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
     match rotation:
         case {"w": w, "x": x, "y": y, "z": z}:
-            values = [w, x, y, z]
-            if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
+            if not are_finite(w, x, y, z):
                 raise InputError(f"{where}: box rotation is not finite; save the graph again")
         case _:
             return half
@@ -84,10 +82,7 @@ def _turned(size: Point, rotation: object, where: str) -> Point:
 
 
 def _point(value: object, what: str) -> Point:
-    match value:
-        case [int() | float() as x, int() | float() as y, int() | float() as z] if all(
-            map(math.isfinite, (x, y, z))
-        ):
-            return (float(x), float(y), float(z))
-        case _:
-            raise InputError(f"{what} is not three finite numbers; save the graph again")
+    point = as_point(value)
+    if point is None:
+        raise InputError(f"{what} is not three finite numbers; save the graph again")
+    return point

@@ -27,9 +27,9 @@ def read_hm3d(path: Path, options: ReadOptions) -> Scene:
     regions: dict[int, list[SceneObject]] = {}
     total = 0
     with path.open(encoding="utf-8-sig", newline="") as file:
-        next(file, None)
         rows = csv.reader(file, skipinitialspace=True)
         try:
+            next(file, None)
             for row in rows:
                 if row:
                     where = f"{path}, line {rows.line_num + 1}"

@@ -11,7 +11,7 @@ from typing import Any
 from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError
 from roomtables.rooms import Room, parse_room, parse_room_lines
-from roomtables.scenes.scene import Point, ReadOptions, Scene, SceneObject, SceneRoom
+from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, as_point
 
 
 def _scene_room(room: Room) -> SceneRoom:
@@ -125,15 +125,7 @@ def _nested_object(value: object, index: int, where: str) -> SceneObject:
         return SceneObject(str(index), value)
     if not isinstance(value, dict) or not isinstance(value.get("name"), str):
         raise InputError(f"{where}: expected an object with id and name")
-    return SceneObject(str(value.get("id", index)), value["name"], _position(value))
-
-
-def _position(value: dict[str, Any]) -> Point | None:
-    match value.get("position"):
-        case [int() | float() as x, int() | float() as y, int() | float() as z]:
-            return (float(x), float(y), float(z))
-        case _:
-            return None
+    return SceneObject(str(value.get("id", index)), value["name"], as_point(value.get("position")))
 
 
 def write_nested(scenes: Iterable[Scene]) -> Iterator[str]:

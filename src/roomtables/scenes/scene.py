@@ -18,6 +18,25 @@ Point = tuple[float, float, float]
 Warn = Callable[[str], None]
 
 
+def are_finite(*values: object) -> bool:
+    """Whether all are numbers that a float can hold; neither NaN nor infinite."""
+    try:
+        return all(isinstance(value, int | float) and math.isfinite(value) for value in values)
+    except OverflowError:
+        return False
+
+
+def as_point(value: object) -> Point | None:
+    """A decoded JSON value as a point; None where it is not three finite numbers."""
+    match value:
+        case [int() | float() as x, int() | float() as y, int() | float() as z] if are_finite(
+            x, y, z
+        ):
+            return (float(x), float(y), float(z))
+        case _:
+            return None
+
+
 @dataclass(frozen=True, slots=True)
 class Box:
     """An axis-aligned box, in metres; empty where a ``low`` exceeds its ``high``."""

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from roomtables.errors import InputError
 from roomtables.rooms import Room
 from roomtables.scenes import read_rooms, read_scene
-from roomtables.scenes.dsg_graph import parse_graph
+from roomtables.scenes.dsg_graph import parse_graph, rooms_of
 from roomtables.scenes.dsg_labels import NamedRoom, label_rooms
 from roomtables.scenes.scene import Box, ReadOptions
 from scene_builders import UNSET, box, graph, node, node_id
@@ -45,6 +47,37 @@ def test_the_direction_of_an_edge_does_not_matter(tmp_path: Path) -> None:
         Room("R0", ("bed",)),
         Room("R1", ("oven",)),
     ]
+
+
+@given(
+    rooms=st.dictionaries(st.integers(10, 14), st.sets(st.integers(100, 102)), min_size=1),
+    direct=st.sets(st.integers(100, 102)),
+    own=st.lists(st.integers(8, 16), unique=True),
+    places=st.dictionaries(st.integers(8, 16), st.floats(0, 9)),
+)
+def test_rooms_of_agrees_with_counting_every_path(
+    rooms: dict[int, set[int]], direct: set[int], own: list[int], places: dict[int, float]
+) -> None:
+    """Object 1 under places 8…16, some of which lie in rooms 100…102, or in rooms itself."""
+    parents = {1: [*own, *sorted(direct)], **{place: sorted(r) for place, r in rooms.items()}}
+
+    def distance(child: int, parent: int) -> float:
+        return places.get(parent, 5.0)
+
+    [found] = rooms_of([1], lambda n: parents.get(n, ()), lambda n: n >= 100, distance).values()
+    paths = [
+        (room, via)
+        for via in parents[1]
+        for room in ([via] if via >= 100 else parents.get(via, ()))
+    ]
+    scores = {
+        room: (
+            -sum(r == room for r, _ in paths),
+            min(distance(1, v) for r, v in paths if r == room),
+        )
+        for room, _ in paths
+    }
+    assert found == min(scores, key=lambda room: (*scores[room], room), default=None)
 
 
 def test_edges_within_a_layer_and_circles_of_edges_lead_nowhere(tmp_path: Path) -> None:

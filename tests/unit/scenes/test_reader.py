@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import json
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,6 +16,7 @@ from roomtables.rooms import Room
 from roomtables.scenes import read_rooms, read_scene, read_scenes
 from roomtables.scenes.room_lists import write_nested
 from roomtables.scenes.scene import ReadOptions
+from scene_builders import box, graph, node
 
 ROOMS = [Room("r1", ("bed", "lamp"), ("bedroom",)), Room("r2", ())]
 LINES = "".join(json.dumps(room.as_json()) + "\n" for room in ROOMS)
@@ -179,6 +184,60 @@ def test_a_huge_file_of_the_wrong_kind_is_refused_unread(tmp_path: Path, head: b
         file.truncate(1 << 41)  # sparse: two terabytes that no reader could hold
     with pytest.raises(InputError):
         list(read_rooms(path))
+
+
+JUNK = [None, True, -1, 10**400, float("inf"), float("nan"), "", "x", [], {}, [1], {"a": [2]}]
+
+
+def _paths(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, child in items:
+        yield (*path, key)
+        if isinstance(child, dict | list):
+            yield from _paths(child, (*path, key))
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        graph(
+            [
+                node("R0", 1, bounding_box=box((0, 0, 0), (1, 1, 1))),
+                node("p0"),
+                node("p1"),
+                node("O0", 1, bounding_box=box((0, 0, 0), (1, 1, 1))),
+            ],
+            [("R0", "p0"), ("O0", "p0"), ("R0", "p1"), ("O0", "p1")],
+            {1: "bed"},
+            {1: "bedroom"},
+        ),
+        {**NESTED, "unassigned": [{"id": 1, "name": "bed", "position": [1, 2, 3]}]},
+        ROOMS[0].as_json(),
+    ],
+    ids=["graph", "nested", "line"],
+)
+def test_whatever_stands_in_a_document_is_read_or_refused(
+    tmp_path: Path, document: dict[str, Any]
+) -> None:
+    """Every value of a sound document, replaced by each kind of junk."""
+    path = tmp_path / "junk.json"
+    outcomes = Counter[str]()
+    for where in _paths(document):
+        for junk in JUNK:
+            damaged = copy.deepcopy(document)
+            holder = damaged
+            for key in where[:-1]:
+                holder = holder[key]
+            holder[where[-1]] = junk
+            path.write_text(json.dumps(damaged))
+            try:
+                json.dumps([room.as_json() for room in read_rooms(path)])
+                outcomes["read"] += 1
+            except InputError as error:
+                outcomes["refused"] += 1
+                outcomes["unplaced"] += str(path) not in str(error)
+    assert min(outcomes["read"], outcomes["refused"]) > 0
+    assert outcomes["unplaced"] == 0
 
 
 def test_deep_json_is_refused(tmp_path: Path) -> None:
