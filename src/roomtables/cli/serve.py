@@ -84,4 +84,5 @@ def serve(
         service.run(stop, report_every)
     finally:
         service.close()
+        gc.unfreeze()
     click.echo(f"stopped: {service.counters.line()}", err=True)
