@@ -17,12 +17,13 @@ import pyarrow.parquet as pq
 
 from roomtables.config import load_labels
 from roomtables.labels import LabelSpace
+from roomtables.locks import utc_now
 from roomtables.offline.combinations import all_combinations
 from roomtables.offline.twins import read_scores
 from roomtables.online import rules
 from roomtables.schemas import ENTROPY_DECIMALS, PROXY, SCHEMA_VERSION
 from roomtables.sentences import DEFAULT_TEMPLATE
-from roomtables.store import LOOKUP, SpaceFolder, utc_now
+from roomtables.store import LOOKUP, SpaceFolder
 from roomtables.twin import pack_keys
 from roomtables.twin_writer import write_twin
 

@@ -9,7 +9,7 @@ from roomtables.cli.evaluating import evaluate_command, report_command
 from roomtables.cli.exploring import sql_command
 from roomtables.cli.labelling import classify
 from roomtables.cli.reproducing import paper_command
-from roomtables.cli.robot import misses_command
+from roomtables.cli.robot import export_command, misses_command
 from roomtables.cli.scenes import label, rooms, show
 from roomtables.cli.serve import serve
 from roomtables.cli.spaces import labels
@@ -38,6 +38,7 @@ for command in (
     compact,
     diff,
     evaluate_command,
+    export_command,
     gc,
     paper_command,
     report_command,

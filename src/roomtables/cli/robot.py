@@ -42,3 +42,37 @@ def misses_command(tables: Path, labels: str, format_: str, output: Path | None)
         for miss in Misses.read(space.path / FOLDER).open
     ]
     emit(render(rows, format_, _COLUMNS), output)
+
+
+@click.command("export")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("tables.tar.zst"),
+    show_default=True,
+    help="The archive: .tar.zst, .tar.gz or .tar.",
+)
+@tables_option
+@labels_option
+@click.option("--float16", is_flag=True, help="Half the size; the best rooms stay the same.")
+def export_command(output: Path, tables: Path, labels: str, float16: bool) -> None:
+    """Pack the published tables for a robot: what a lookup needs, in one archive.
+
+    \b
+    Example:
+      roomtables export -o tables.tar.zst --labels mpcat40
+      tar --zstd -xf tables.tar.zst        # on the robot
+    """
+    from roomtables.export import export
+
+    for found in export(tables, Path(labels).name, output, float16):
+        click.echo(
+            f"{found.source}: {found.combinations:,} combinations x {found.rooms} rooms, "
+            f"{_megabytes(found.bytes)} unpacked"
+        )
+    click.echo(f"{output}: {_megabytes(output.stat().st_size)}")
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:,.2f} MB"

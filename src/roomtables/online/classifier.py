@@ -74,7 +74,7 @@ class RoomTables:
 
         Parameters
         ----------
-        tables : the tables folder
+        tables : the tables folder, or the folder that an export was unpacked into
         labels : the label space's name, or its folder, whose base name is its name
         scorer : a language model for misses; by default the one the tables were built with
         offline : never load a language model
@@ -90,7 +90,7 @@ class RoomTables:
         InputError
             A candidate room is unknown and no model may be asked about it.
         """
-        space = SpaceFolder(Path(tables), Path(labels).name)
+        space = _space(Path(tables), Path(labels).name)
         version, twin = _open_published(space, verify)
         misses = MissLog(space.path / FOLDER) if note_misses else None
         model = QueryModel(version.manifest, scorer, allowed=not offline)
@@ -200,6 +200,12 @@ class RoomTables:
         rooms = dict.fromkeys(np.searchsorted(ends, places, side="right").tolist())
         found = {at: self._vocabulary.unlisted(names[at]) for at in rooms}
         return {at: unlisted for at, unlisted in found.items() if unlisted}
+
+
+def _space(tables: Path, labels: str) -> SpaceFolder:
+    unpacked = tables / "tables"
+    inside = not (tables / labels).is_dir() and (unpacked / labels).is_dir()
+    return SpaceFolder(unpacked if inside else tables, labels)
 
 
 def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Twin]:

@@ -1,0 +1,131 @@
+"""Readers that open and classify while a writer publishes: each answer of one whole generation.
+
+Run as a script for a longer look: ``python tests/publish_loop.py [SECONDS]``.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomtables import RoomTables
+from roomtables.config import BuildConfig
+from roomtables.labels import LabelSpace
+from roomtables.locks import utc_now
+from roomtables.schemas import SCHEMA_VERSION
+from roomtables.store import LOOKUP, SpaceFolder
+from roomtables.twin import pack_keys
+from roomtables.twin_writer import ScoreChunks, write_twin
+
+OBJECTS = ("bed", "lamp", "sink")
+ROOMS = ("bathroom", "bedroom", "kitchen", "office", "yard")
+READERS = 4
+_PADDING = 60_000  # rows beside those that are asked for, so that the files are mapped
+
+
+def publish(tables: Path, generation: int) -> None:
+    """A version whose every combination is answered by room ``generation`` modulo their number.
+
+    The generation is also in the manifest, in the bias, and in S of single objects.
+    """
+    space = LabelSpace.named("loop", OBJECTS, ROOMS)
+    folder = SpaceFolder(tables, space.name)
+    room = generation % len(ROOMS)
+    ranks = np.array([[1, 0, 0], [1, 2, 0], [1, 2, 3], [2, 0, 0], [3, 0, 0]])
+    keys = np.concatenate(
+        [np.sort(pack_keys(ranks, 3)), 2**62 + np.arange(_PADDING, dtype=np.uint64)]
+    )
+    scores = np.full((len(keys), len(ROOMS)), -50, np.float32)
+    scores[:, room] = -10
+    object_room = np.full((len(OBJECTS), len(ROOMS)), -50.0)
+    object_room[:, room] = -10
+    arrays = {
+        "entropy": np.array([0.1, 0.2, 0.3]),
+        "ranks": np.array([1, 2, 3]),
+        "object_room": object_room,
+        "bias": np.full(len(ROOMS), float(generation)),
+    }
+    config = BuildConfig()
+    settings: dict[str, Any] = {"k": 3, "template": config.template, "reduction": "sum"}
+    manifest = settings | {
+        "schema_version": SCHEMA_VERSION,
+        "labels": space.name,
+        "created": utc_now(),
+        "generation": generation,
+        "scorer_id": "made-up",
+        "query_scorer_id": "made-up",
+        "model": {"model": "made-up"},
+        "decision": {
+            name: getattr(config, name)
+            for name in ("source", "rule", "prior_weight", "evidence_power")
+        },
+    }
+    with folder.staging() as staging:
+        source = (arrays, ScoreChunks(len(keys), len(ROOMS), [(keys, scores)]))
+        manifest |= write_twin(staging / LOOKUP, space, settings, {"proxy": source})
+        folder.publish(staging, folder.new_name("generate"), manifest)
+    folder.remove_old()
+
+
+def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:
+    """Open and classify until told to stop; put (opens, generations seen, what went wrong)."""
+    opens, seen, wrong = 0, set(), []
+    ready.release()
+    while not stop.is_set():
+        try:
+            opened = RoomTables.open(tables, "loop", offline=True, note_misses=False)
+            generation = int(opened.version.manifest["generation"])
+            expected = ROOMS[generation % len(ROOMS)]
+            found = {
+                opened.deciding(rule=r).classify(["lamp", "bed"]).room for r in ("query", "pooled")
+            }
+            found |= set(opened.classify_many([["bed"], ["sink"], ["bed", "lamp", "sink"]]).rooms)
+            seen.add(generation)
+            bias = opened.twin.sources["proxy"].bias
+            if found != {expected} or set(bias.tolist()) != {float(generation)}:
+                wrong.append(f"generation {generation}: {found}, bias {bias}")
+        except Exception as error:
+            wrong.append(f"{type(error).__name__}: {error}")
+        opens += 1
+    results.put((opens, len(seen), wrong[:3]))
+
+
+def race(seconds: float) -> dict[str, Any]:
+    """A writer in a tight loop against readers in processes of their own."""
+    context = multiprocessing.get_context("spawn")
+    ready, stop, results = context.Semaphore(0), context.Event(), context.Queue()
+    with tempfile.TemporaryDirectory() as folder:
+        tables = Path(folder)
+        publish(tables, 0)
+        work = (tables, ready, stop, results)
+        readers = [context.Process(target=read, args=work) for _ in range(READERS)]
+        for reader in readers:
+            reader.start()
+        for _ in readers:
+            ready.acquire()
+        published, until = 0, time.monotonic() + seconds
+        while time.monotonic() < until:
+            published += 1
+            publish(tables, published)
+        stop.set()
+        found = [results.get() for _ in readers]
+        for reader in readers:
+            reader.join()
+    return {
+        "seconds": seconds,
+        "published": published,
+        "opens": sum(opens for opens, _, _ in found),
+        "generations_seen": max(seen for _, seen, _ in found),
+        "wrong": [what for _, _, wrong in found for what in wrong],
+        "exit_codes": [reader.exitcode for reader in readers],
+    }
+
+
+if __name__ == "__main__":
+    print(race(float(sys.argv[1]) if len(sys.argv) > 1 else 10.0))
