@@ -12,7 +12,6 @@ from roomtables.cli.common import as_json, emit, format_option, output_option, r
 from roomtables.cli.evaluating import check_plots
 from roomtables.config import DTYPES, BuildConfig
 from roomtables.evaluation.paper import Reproduction, Trial, reproduce
-from roomtables.offline.builder import build
 from roomtables.online.classifier import RoomTables
 from roomtables.rooms import read_room_lines
 from roomtables.schemas import QUERY, REDUCTIONS
@@ -76,6 +75,8 @@ def paper_command(
             "scores": scores[at] if scores else None,
             "combinations": "none" if scores and not model["model"] else str(file),
         }
+        from roomtables.offline.builder import build  # imports what classify does without
+
         build(BuildConfig.load(None, **options), tables=tables, progress=sys.stderr.isatty())
         columns.append((RoomTables.open(tables, labels[at], offline=True), read_room_lines(file)))
     found = reproduce(columns)
