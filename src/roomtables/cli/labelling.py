@@ -22,6 +22,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.scenes import Warnings, house_labels, labelspace_option, mapping_option
+from roomtables.cli.synonyms import Synonyms
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.rooms import Room
@@ -66,15 +67,18 @@ def classify(
     if bool(objects) == bool(input_):
         raise click.UsageError("give either OBJECTs or --input FILE")
     opened = RoomTables.open(tables, labels, **decision)
-    rooms = iter([Room("", objects)])
+    rooms: Iterable[Room] = [Room("", objects)]
     if input_:
-        rooms = read_rooms(
+        synonyms = Synonyms(opened)
+        click.get_current_context().call_on_close(synonyms.report)
+        found = read_rooms(
             input_,
             labelspace=labelspace,
             object_labels=house_labels(labels),
             category_mapping=category_mapping,
             warn=Warnings(),
         )
+        rooms = synonyms.watch(found)
     results = _classified(rooms, opened)
     if format_ == "jsonl":
         emit_lines((as_json_line(_record(*result, top)) for result in results), output)

@@ -25,6 +25,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.naming import Namer
+from roomtables.cli.synonyms import Synonyms
 from roomtables.errors import InputError, StoreError
 from roomtables.online.classifier import RoomTables
 from roomtables.scenes.dsg import dsg_scene
@@ -174,7 +175,10 @@ def label(
     document = load_graph_document(scene)
     found = list(dsg_scene(document, scene, options).rooms)
     opened = RoomTables.open(tables, labels, **decision)
-    answers = opened.classify_many([room.as_room().objects for room in found])
+    synonyms = Synonyms(opened)
+    answers = opened.classify_many(
+        [room.objects for room in synonyms.watch(room.as_room() for room in found)]
+    )
     by_room = {room.room_id: answer for room, answer in zip(found, answers, strict=True)}
     named = Namer(opened)(by_room)
     graph = parse_graph(document, str(scene))
@@ -183,6 +187,7 @@ def label(
         write_sparkdsg(document, output)
     else:
         write_aside(output, json.dumps(document, separators=(",", ":")).encode())
+    synonyms.report()
     click.echo(f"{output}: {len(named)} of {len(found)} rooms named", err=True)
 
 

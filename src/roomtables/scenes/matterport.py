@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TextIO
 
 from roomtables.errors import InputError
 from roomtables.scenes.matterport_labels import ROOM_NAMES, UNNAMED, object_namer
@@ -26,6 +27,7 @@ from roomtables.scenes.scene import (
 )
 
 MAGIC = "ASCII 1."
+_LONGEST_LINE = 65_536
 NOT_ROOMS = frozenset({"yard", "balcony", "porch", UNNAMED})
 
 
@@ -196,7 +198,7 @@ def read_house(path: Path, options: ReadOptions) -> Scene:
         The file is malformed (see `parse_house`).
     """
     with path.open(encoding="utf-8", errors="replace") as lines:
-        house = parse_house(lines, str(path))
+        house = parse_house(_short_lines(lines, path), str(path))
     _warn_if_short(house, path, options)
     namer = object_namer(options)
     contents: dict[int | None, list[SceneObject]] = {}
@@ -213,6 +215,14 @@ def read_house(path: Path, options: ReadOptions) -> Scene:
     )
     report_unassigned(scene, sum(map(len, contents.values())), options.warn)
     return scene
+
+
+def _short_lines(file: TextIO, path: Path) -> Iterator[str]:
+    """The file's lines; one that never ends is refused instead of held."""
+    while line := file.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise InputError(f"{path}: a line of over {_LONGEST_LINE} characters; no .house file")
+        yield line
 
 
 def _rooms(

@@ -132,6 +132,7 @@ def test_label_names_rooms_and_says_how_many(scene: Path, tables: Path, tmp_path
     result = run("label", scene, "-o", out, "--tables", tables, "--labels", "flat", "--offline")
     assert result.exit_code == 0, result.output
     assert "2 of 3 rooms named" in result.stderr
+    assert "read as synonyms: stove = oven\n" in result.stderr
     rooms = [value["attributes"] for value in json.loads(out.read_text())["nodes"][:3]]
     assert [room["name"] for room in rooms] == ["bedroom", "kitchen", "R2"]
     assert [room["semantic_label"] for room in rooms[:2]] == [1, 4]  # 3 is the graph's own office
@@ -180,6 +181,8 @@ def test_classify_takes_scenes(scene: Path, house: Path, tables: Path) -> None:
     found = lines(run("classify", "--input", scene, *options))
     assert [room["room"] for room in found] == ["bedroom", "kitchen", None]
     assert found[1]["unknown_objects"] == ["wall"]
+    told = run("classify", "--input", scene, *options).stderr.splitlines()
+    assert told[-1] == "read as synonyms: stove = oven"
     assert [r["room"] for r in lines(run("classify", "--input", house, *options))] == ["bedroom"]
 
 

@@ -176,7 +176,9 @@ def test_malformed_files_are_refused(tmp_path: Path, text: str, message: str) ->
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize("head", [b"", b"PK\3\4", b"{", b'{"type": "mesh", ', b'{"nodes": ['])
+@pytest.mark.parametrize(
+    "head", [b"", b"PK\3\4", b"{", b'{"type": "mesh", ', b'{"nodes": [', b"ASCII 1.1\n"]
+)
 def test_a_huge_file_of_the_wrong_kind_is_refused_unread(tmp_path: Path, head: bytes) -> None:
     path = tmp_path / "huge.json"
     with path.open("wb") as file:
