@@ -46,16 +46,9 @@ def load(
     _quieten()
     tokenizer = _load_tokenizer(folder)
     network = _load_network(folder, kind, dtype, place)
-    config = network.config.get_text_config()
-    encoder = Encoder(tokenizer, folder.name, _vocabulary(network), _context(config))
-    forward = Forward(network)
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
-    backend: CausalBackend | MaskedBackend
     try:
-        if kind == "causal":
-            backend = CausalBackend(forward, encoder, budget)
-        else:
-            backend = MaskedBackend(forward, encoder, whole_words=kind == "pll_word_l2r")
+        backend = _backend(network, tokenizer, folder, kind, budget)
     except torch.cuda.OutOfMemoryError as error:
         raise _too_large(folder, dtype) from error
     _log.info("%s on %s: strategy %s", identity, place, backend.strategy)
@@ -77,6 +70,16 @@ def load(
         token_budget=budget,
         progress=progress,
     )
+
+
+def _backend(
+    network: Any, tokenizer: Any, folder: ModelFolder, kind: str, budget: int
+) -> CausalBackend | MaskedBackend:
+    context = _context(network.config.get_text_config())
+    encoder = Encoder(tokenizer, folder.name, _vocabulary(network), context)
+    if kind == "causal":
+        return CausalBackend(Forward(network), encoder, budget)
+    return MaskedBackend(Forward(network), encoder, whole_words=kind == "pll_word_l2r")
 
 
 def _quieten() -> None:
