@@ -12,7 +12,6 @@ from typing import Any
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
 from roomtables.misses import FOLDER, Misses
-from roomtables.parts import SCORES, all_parts, live_parts
 from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES
 from roomtables.store import Version
 
@@ -90,6 +89,8 @@ def _in_order(folder: Path) -> list[Path]:
 
 
 def _sentence_scores(connection: Any, tables: Path) -> None:
+    from roomtables.parts import SCORES, all_parts, live_parts  # imports pyarrow
+
     folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
     table = TABLE_BY_NAME["sentence_scores"]

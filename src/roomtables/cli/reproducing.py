@@ -67,6 +67,8 @@ def paper_command(
         if given and len(given) != len(rooms):
             raise click.UsageError(f"--{name}: give it once per ROOMS, {len(rooms)} times")
     check_plots(plot)
+    from roomtables.offline.builder import build  # imports pyarrow and duckdb
+
     columns = []
     for at, file in enumerate(rooms):
         options = model | {
@@ -75,8 +77,6 @@ def paper_command(
             "scores": scores[at] if scores else None,
             "combinations": "none" if scores and not model["model"] else str(file),
         }
-        from roomtables.offline.builder import build  # imports what classify does without
-
         build(BuildConfig.load(None, **options), tables=tables, progress=sys.stderr.isatty())
         columns.append((RoomTables.open(tables, labels[at], offline=True), read_room_lines(file)))
     found = reproduce(columns)
