@@ -13,7 +13,8 @@ from roomtables.scenes import hm3d, matterport
 from roomtables.scenes.hovsg import hovsg_root
 
 _HEAD = 65_536
-_LARGE = 1 << 30
+# Bytes of JSON beyond which it is no scene: with keys that a scene begins with, and without.
+_LARGE, _LARGE_AND_STRANGE = 1 << 30, 1 << 26
 _FIRST_KEY = re.compile(r'\s*\{\s*"((?:[^"\\]|\\.)*)"\s*:')
 _GRAPH_KEYS = frozenset(
     {
@@ -108,12 +109,13 @@ def _recognise_json(text: str, path: Path, size: int) -> Format:
     if isinstance(value, dict) and not known:
         document = {"rooms", "nodes"} & value.keys() and not rest.strip()
         return Format.JSON if document else Format.ROOM_LINES
-    if size > _LARGE:
+    room = first_key is not None and first_key[1] in {"room_id", "objects", "room"}
+    if room and first_line.strip() not in ("{", "["):
+        return Format.ROOM_LINES
+    if size > (_LARGE if known else _LARGE_AND_STRANGE):
         kind = "a graph without its mesh is smaller" if known else f"give {SUPPORTED}"
         raise InputError(f"{path}: {size / 2**30:.1f} GB of JSON is more than a scene; {kind}")
-    lines = first_key is not None and first_key[1] in {"room_id", "objects", "room"}
-    multiline = first_line.strip() in ("{", "[")
-    return Format.ROOM_LINES if lines and not multiline else Format.JSON
+    return Format.JSON
 
 
 def house_files(folder: Path) -> Iterator[Path]:

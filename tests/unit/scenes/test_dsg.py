@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomtables.errors import InputError
@@ -49,6 +49,7 @@ def test_the_direction_of_an_edge_does_not_matter(tmp_path: Path) -> None:
     ]
 
 
+@settings(deadline=None)
 @given(
     rooms=st.dictionaries(st.integers(10, 14), st.sets(st.integers(100, 102)), min_size=1),
     direct=st.sets(st.integers(100, 102)),
@@ -321,6 +322,11 @@ def test_a_graphs_own_room_labels_keep_their_ids_and_missing_ones_are_added() ->
 
 def test_without_answers_nothing_changes() -> None:
     assert named(flat()) == flat()
+
+
+def test_naming_the_same_rooms_again_changes_nothing() -> None:
+    once = named(flat(), R0="bedroom", R1="kitchen")
+    assert named(once, R0="bedroom", R1="kitchen") == once
 
 
 @pytest.mark.parametrize("name", ["two_room_dsg.json", "apartment_dsg.json"])
