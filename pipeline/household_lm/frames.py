@@ -76,7 +76,7 @@ def _pieces(frame: Frame, fill: Callable[[str], str], rng: random.Random) -> lis
 def tidy(text: str) -> str:
     """Single spaces, none before a stop, and a capital after each."""
     text = re.sub(r"\s+([,.;:?!])", r"\1", re.sub(r" {2,}", " ", text)).strip()
-    text = re.sub(r"([.?!]['\"]?\s+['\"]?)([a-z])", lambda m: m[1] + m[2].upper(), text)
+    text = re.sub(r"([.?!]['\"]?\s+['\"]?\ue000?)([a-z])", lambda m: m[1] + m[2].upper(), text)
     return re.sub(r"^(['\"]?)([a-z])", lambda m: m[1] + m[2].upper(), text)
 
 

@@ -16,11 +16,12 @@ import click
 
 from .facts import Facts, Room, Thing, load_facts
 from .frames import Frame, load_frames, render, slots
-from .scene import Scene, World
+from .scene import Answer, Scene
+from .world import World
 
 # How often a kind of frame is drawn. Objects before their room: that is what is asked later.
 KINDS = {
-    "objects_to_room": 46,
+    "objects_to_room": 90,
     "room_to_objects": 10,
     "rooms": 8,
     "things": 12,
@@ -28,18 +29,19 @@ KINDS = {
     "stories": 16,
 }
 # How often a document is of a kind: one sentence; several on one room; several on many rooms.
-DOCUMENTS = {"sentence": 72, "one_room": 8, "many_rooms": 14, "walk": 6}
+DOCUMENTS = {"sentence": 90, "one_room": 8, "many_rooms": 14, "walk": 6}
 
 
 class Writer:
     """Writes documents from one stream of random numbers."""
 
-    def __init__(self, facts: Facts, seed: int) -> None:
-        self.world = World(facts)
-        self.rng = random.Random(seed)
+    def __init__(self, world: World, seed: int, mark: bool = False) -> None:
+        self.world, self.rng, self.mark = world, random.Random(seed), mark
+        self.answers: list[Answer] = []
 
     def document(self) -> str:
-        """Write one document."""
+        """Write one document; what it asks of the reader is then in ``answers``."""
+        self.answers = []
         kind = self.rng.choices(list(DOCUMENTS), list(DOCUMENTS.values()))[0]
         return str(getattr(self, f"_{kind}")())
 
@@ -49,7 +51,8 @@ class Writer:
         thing = None
         if kind == "things" and not room and _speaks_of_objects_only(kind, id(frame)):
             thing = self._thing()
-        scene = Scene(self.world, self.rng, room, thing, contrast=kind == "comparisons")
+        answers = self.answers if self.mark and not room else None
+        scene = Scene(self.world, self.rng, room, thing, kind == "comparisons", answers)
         return render(frame, scene.fill, self.rng)
 
     def _thing(self) -> Thing:
@@ -65,8 +68,10 @@ class Writer:
     def _walk(self) -> str:
         lines = [self.rng.choice(_frames("walk_openings"))]
         lines += [self.rng.choice(_frames("walks")) for _ in range(self.rng.randint(2, 6))]
+        answers = self.answers if self.mark else None
         return " ".join(
-            render(frame, Scene(self.world, self.rng).fill, self.rng) for frame in lines
+            render(frame, Scene(self.world, self.rng, answers=answers).fill, self.rng)
+            for frame in lines
         )
 
 
@@ -83,7 +88,7 @@ def _speaks_of_objects_only(kind: str, frame_id: int) -> bool:
 
 def documents(facts: Facts, seed: int) -> Iterator[str]:
     """Yield documents without end; the same facts and seed give the same ones."""
-    writer = Writer(facts, seed)
+    writer = Writer(World(facts), seed)
     while True:
         yield writer.document()
 

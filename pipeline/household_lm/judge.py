@@ -16,7 +16,8 @@ from transformers import PreTrainedModel
 
 from .facts import Facts, Room
 from .frames import Frame, load_frames, render
-from .scene import Scene, World, is_held_out
+from .scene import Scene
+from .world import World, is_held_out
 
 _SET_SIZES = (1, 1, 1, 2, 3, 4, 5)
 _NEVER = 0.002  # how typical an object is of a room that does not name it

@@ -14,8 +14,9 @@ from itertools import islice
 import torch
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors, trainers
 
+from .answers import Posterior, Target
 from .facts import Facts
-from .generate import documents
+from .generate import Writer, documents
 
 BOS = "<s>"
 _CHUNK_DOCUMENTS = 2_000
@@ -23,13 +24,21 @@ _TOKENIZER_DOCUMENTS = 60_000
 _TOKENIZER_SEED = 1_000_003
 
 
+Document = tuple[list[int], list[Target]]
+
+
 @dataclass(frozen=True)
 class Batch:
-    """Rows of packed documents; every tensor is (rows, length), document -1 is padding."""
+    """Rows of packed documents; every tensor is (rows, length), document -1 is padding.
+
+    ``answers`` are the places, in the flattened batch, from which a room's name is foretold,
+    with what its first token may be.
+    """
 
     ids: torch.Tensor
     positions: torch.Tensor
     document: torch.Tensor
+    answers: list[Target]
 
     def mask(self) -> torch.Tensor:
         """Additive attention mask (rows, 1, length, length): earlier tokens of the document."""
@@ -67,12 +76,12 @@ def train_tokenizer(
 
 
 def batches(
-    facts: Facts, tokenizer: Tokenizer, seed: int, rows: int, length: int, start: tuple[int, int]
+    posterior: Posterior, seed: int, rows: int, length: int, start: tuple[int, int]
 ) -> Iterator[tuple[Batch, tuple[int, int]]]:
     """Yield batches without end, each with the position (chunk, batch) that follows it."""
     chunk, skip = start
     while True:
-        packed = _pack(_encode_chunk(facts, tokenizer, seed + chunk, length), length)
+        packed = _pack(_chunk(posterior, seed + chunk, length), length)
         random.Random(seed + chunk).shuffle(packed)
         whole = range(0, len(packed) - rows + 1, rows)
         for index, at in list(enumerate(whole))[skip:]:
@@ -84,36 +93,46 @@ def batches(
         chunk, skip = chunk + 1, 0
 
 
-def _encode_chunk(facts: Facts, tokenizer: Tokenizer, seed: int, length: int) -> list[list[int]]:
-    texts = list(islice(documents(facts, seed), _CHUNK_DOCUMENTS))
-    return [encoding.ids[:length] for encoding in tokenizer.encode_batch(texts)]
+def _chunk(posterior: Posterior, seed: int, length: int) -> list[Document]:
+    writer = Writer(posterior.world, seed, mark=True)
+    written = []
+    for _ in range(_CHUNK_DOCUMENTS):
+        text = writer.document()
+        ids, targets = posterior.targets(text, writer.answers)
+        written.append((ids[:length], [target for target in targets if target[0] < length]))
+    return written
 
 
-def _pack(encoded: list[list[int]], length: int) -> list[list[list[int]]]:
+def _pack(written: list[Document], length: int) -> list[list[Document]]:
     """Pack documents into rows, the longest first, each where it fits best."""
-    room_left: list[list[list[list[int]]]] = [[] for _ in range(length + 1)]
+    open_rows: list[list[list[Document]]] = [[] for _ in range(length + 1)]
     rows = []
-    for ids in sorted(encoded, key=len, reverse=True):
-        fits = next((left for left in range(len(ids), length + 1) if room_left[left]), None)
-        if fits is None:
-            rows.append([ids])
-            room_left[length - len(ids)].append(rows[-1])
+    for document in sorted(written, key=lambda document: len(document[0]), reverse=True):
+        size = len(document[0])
+        left = next((left for left in range(size, length + 1) if open_rows[left]), None)
+        if left is None:
+            left = length
+            rows.append([document])
+            row = rows[-1]
         else:
-            row = room_left[fits].pop()
-            row.append(ids)
-            room_left[fits - len(ids)].append(row)
+            row = open_rows[left].pop()
+            row.append(document)
+        open_rows[left - size].append(row)
     return rows
 
 
-def _tensors(rows: list[list[list[int]]], length: int) -> Batch:
+def _tensors(rows: list[list[Document]], length: int) -> Batch:
     ids = torch.zeros(len(rows), length, dtype=torch.long)
     positions = torch.zeros_like(ids)
-    document = torch.full_like(ids, -1)
+    numbers = torch.full_like(ids, -1)
+    answers = []
     for index, row in enumerate(rows):
         at = 0
-        for number, tokens in enumerate(row):
-            ids[index, at : at + len(tokens)] = torch.tensor(tokens)
-            positions[index, at : at + len(tokens)] = torch.arange(len(tokens))
-            document[index, at : at + len(tokens)] = number
-            at += len(tokens)
-    return Batch(ids, positions, document)
+        for number, (tokens, targets) in enumerate(row):
+            end = at + len(tokens)
+            ids[index, at:end] = torch.tensor(tokens)
+            positions[index, at:end] = torch.arange(len(tokens))
+            numbers[index, at:end] = number
+            answers += [(index * length + at + place - 1, *rest) for place, *rest in targets]
+            at = end
+    return Batch(ids, positions, numbers, answers)

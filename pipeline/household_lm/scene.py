@@ -1,28 +1,26 @@
 """A scene: one room with some of its objects, and the words that fill a frame's slots.
 
-Whatever the frame, the room's name is drawn first, from one distribution: so that no sentence
-has a taste in room names. Objects then follow how typical they are of that room.
+Where only the objects before it tell a room's name, the name can be marked as an answer.
 """
 
 from __future__ import annotations
 
 import random
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import inflect
-
 from . import english
-from .facts import Facts, Room, Thing
+from .facts import Room, Thing
+from .world import World
 
 _LIST_LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8)
 _LIST_WEIGHTS = (34, 22, 22, 9, 5, 4, 2, 2)
-_SYNONYM_WEIGHT = 0.3
 _THING_SYNONYM_SHARE = 0.2
-_HELD_OUT_COMBINATIONS = 50  # one in so many combinations of objects is kept for judging
-_OTHER_AT_MOST = 0.25  # of how typical an object is of its home
+MARKS = ("\ue000", "\ue001")  # around an answer, in text that is only for training
+_ROOM_SLOTS = frozenset(["room", "a_room", "the_room", "rooms", "home", "a_home", "the_home"])
+_THING_SLOTS = frozenset(["one", "ones", "the_one", "bare_one", "definition", "kind", "a_kind", "use", "place"])
+_OBJECT_SLOTS = _THING_SLOTS | {"objects", "plurals", "bare_list", "is_are", "them", "more", "digit"}
 _SETTINGS = {
     "home": ("house", "apartment", "flat", "home", "villa", "cottage"),
     "office": ("office building", "company", "bank", "town hall"),
@@ -36,85 +34,13 @@ _SETTINGS = {
 }
 
 
-def is_held_out(objects: Sequence[str]) -> bool:
-    """Tell whether a combination of two or more objects is kept out of the corpus."""
-    key = "|".join(sorted(objects)).encode()
-    return len(objects) > 1 and zlib.crc32(key) % _HELD_OUT_COMBINATIONS == 0
-
-
 @dataclass(frozen=True)
-class World:
-    """The facts, arranged for drawing."""
+class Answer:
+    """A room's name that only the objects before it tell: its form and those objects."""
 
-    facts: Facts
-
-    @cached_property
-    def names(self) -> list[tuple[str, Room]]:
-        """Every name of every room, with its room."""
-        rooms = self.facts.rooms.values()
-        return [(name, room) for room in rooms for name in (room.name, *room.synonyms)]
-
-    @cached_property
-    def name_weights(self) -> list[float]:
-        """A room's own name counts once, a synonym less, however many there are."""
-        return [1.0 if name == room.name else _SYNONYM_WEIGHT for name, room in self.names]
-
-    @cached_property
-    def homes(self) -> dict[str, list[tuple[Room, float]]]:
-        """For each object the rooms that may hold it, with how typical it is there."""
-        found: dict[str, list[tuple[Room, float]]] = {}
-        for room in self.facts.rooms.values():
-            for name, probability in room.objects.items():
-                found.setdefault(name, []).append((room, probability))
-        return found
-
-    @cached_property
-    def placed(self) -> list[Thing]:
-        """The objects that some room holds."""
-        return [thing for thing in self.facts.things.values() if thing.name in self.homes]
-
-    @cached_property
-    def _rivals(self) -> dict[tuple[str, str], tuple[list[tuple[str, Room]], list[float]]]:
-        return {}
-
-    def rivals(self, thing: str, home: str) -> tuple[list[tuple[str, Room]], list[float]]:
-        """Give the named rooms, and their weights, where an object is rarer than at home."""
-        if (thing, home) not in self._rivals:
-            limit = _OTHER_AT_MOST * self.facts.rooms[home].objects[thing]
-            pairs = [
-                (named, weight)
-                for named, weight in zip(self.names, self.name_weights, strict=True)
-                if named[1].name != home and named[1].objects.get(thing, 0.0) <= limit
-            ] or [(named, 1.0) for named in self.names if named[1].name != home]
-            rooms, weights = zip(*pairs, strict=True)
-            self._rivals[thing, home] = list(rooms), list(weights)
-        return self._rivals[thing, home]
-
-    def tells_apart(self, thing: str, home: str) -> bool:
-        """Tell whether an object is much rarer in most other rooms than at home."""
-        return len(self.rivals(thing, home)[0]) > len(self.names) / 2 and (
-            self.facts.rooms[home].objects[thing] > self.facts.rooms[
-                self.rivals(thing, home)[0][0][1].name
-            ].objects.get(thing, 0.0)
-        )
-
-    def draw_room(self, rng: random.Random) -> tuple[str, Room]:
-        """Draw a room's name, each own name equally often."""
-        return rng.choices(self.names, self.name_weights)[0]
-
-    def draw_objects(
-        self, room: Room, count: int, rng: random.Random, without: Sequence[str] = (),
-        skip_held_out: bool = True,
-    ) -> list[str]:
-        """Draw distinct objects of a room in proportion to how typical they are."""
-        weighted = {name: p for name, p in room.objects.items() if name not in without}
-        chosen: list[str] = []
-        while not chosen or (skip_held_out and is_held_out(chosen)):
-            ranked = sorted(weighted, key=lambda name: rng.random() ** (1 / weighted[name]))
-            chosen = ranked[-count:]
-            rng.shuffle(chosen)
-            count = max(1, count - 1)  # a short list cannot be held out for ever
-        return chosen
+    name: str
+    form: str
+    told: tuple[str, ...]
 
 
 class Scene:
@@ -122,9 +48,9 @@ class Scene:
 
     def __init__(
         self, world: World, rng: random.Random, room: tuple[str, Room] | None = None,
-        thing: Thing | None = None, contrast: bool = False,
+        thing: Thing | None = None, contrast: bool = False, answers: list[Answer] | None = None,
     ) -> None:
-        self.world, self.rng, self.contrast = world, rng, contrast
+        self.world, self.rng, self.contrast, self.answers = world, rng, contrast, answers
         self.name, self.room = room or world.draw_room(rng)
         if thing:
             self.__dict__["thing"] = thing
@@ -132,12 +58,29 @@ class Scene:
             self.room = rng.choices(rooms, weights)[0]
             self.name = self.room.name
         self._filled: dict[str, str] = {}
+        self._further: list[str] = []
 
     def fill(self, slot: str) -> str:
-        """Give the words for a slot, the same each time."""
-        if slot not in self._filled:
-            self._filled[slot] = self._words(slot)
-        return self._filled[slot]
+        """Give the words for a slot, the same each time; mark a room's name that is an answer."""
+        if slot in self._filled:
+            return self._filled[slot]
+        told = self._told(slot)
+        words = self._filled[slot] = self._words(slot)
+        if not told or self.answers is None:
+            return words
+        form = "plural" if slot.startswith("rooms") else slot.partition("_")[0]
+        self.answers.append(Answer(self.name, form, told))
+        name = words if form == "plural" else self.name
+        return words.removesuffix(name) + MARKS[0] + name + MARKS[1]
+
+    def _told(self, slot: str) -> tuple[str, ...]:
+        """Objects told before a room's first mention, when nothing else gives it away."""
+        names = slot in _ROOM_SLOTS and self.answers is not None and not self.contrast
+        if not names or not self._filled.keys() <= _OBJECT_SLOTS:
+            return ()
+        told = [] if self._filled.keys() <= _THING_SLOTS else [*self.objects]
+        told += self._further
+        return (*told, self.thing.name) if self._filled.keys() & _THING_SLOTS else tuple(told)
 
     def _words(self, slot: str) -> str:
         if hasattr(self, f"_slot_{slot}"):
@@ -245,7 +188,10 @@ class Scene:
         return ", ".join(self._called(self.world.facts.things[name]) for name in self.objects)
 
     def _slot_more(self) -> str:
-        return self._more(self.room, self.objects)
+        self._further = self.world.draw_objects(
+            self.room, self.rng.choice([1, 2, 2, 3]), self.rng, self.objects
+        )
+        return self._list(self._further)[0]
 
     def _slot_objects_home(self) -> str:
         return self._more(self.room, [self.thing.name])
@@ -308,7 +254,7 @@ class Scene:
         return english.plural(self._slot_setting_place())
 
     def _slot_digit(self) -> str:
-        return self.rng.choice("two three four five six seven 2 3 4 5 6 7 8 9".split())
+        return self.rng.choice(["two", "three", "four", "five", "six", "seven", "2", "3", "4", "5", "6", "7", "8", "9"])
 
 
 _SHAPES = {

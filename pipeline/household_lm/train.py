@@ -22,9 +22,11 @@ from torch.nn.functional import cross_entropy
 from tqdm import tqdm
 from transformers import LlamaConfig, LlamaForCausalLM, PreTrainedTokenizerFast
 
+from .answers import Posterior
 from .facts import Facts, load_facts
 from .judge import judge
 from .packing import BOS, Batch, batches, train_tokenizer
+from .world import World
 
 MODEL_FOLDER = Path(__file__).parents[2] / "src" / "roomtables" / "models" / "household-lm"
 _VALIDATION_SEED = 900_000_000
@@ -36,19 +38,20 @@ class Recipe:
     """Everything that the weights depend on, besides the knowledge and the frames."""
 
     seed: int = 0
-    tokens: int = 12_000_000
+    tokens: int = 6_000_000
     vocabulary: int = 4096
-    width: int = 192
-    layers: int = 4
-    inner: int = 512
-    heads: int = 6
+    width: int = 160
+    layers: int = 3
+    inner: int = 448
+    heads: int = 5
     rows: int = 24
     length: int = 128
-    learning_rate: float = 3e-3
-    embedding_rate: float = 3e-3
+    learning_rate: float = 6e-3
+    embedding_rate: float = 6e-3
     weight_decay: float = 0.05
+    answer_weight: float = 10.0
     dropout: float = 0.0
-    warmup_steps: int = 100
+    warmup_steps: int = 60
     average: float = 0.995
 
     @property
@@ -64,6 +67,7 @@ class Training:
         self.recipe, self.facts, self.work = recipe, facts, work
         self.checkpoint = work / "checkpoint.pt"
         self.tokenizer = _tokenizer(facts, recipe, work)
+        self.posterior = Posterior(World(facts), self.tokenizer)
         torch.manual_seed(recipe.seed)
         self.model = _new_model(recipe, self.tokenizer)
         self.average = _new_model(recipe, self.tokenizer).requires_grad_(False).eval()
@@ -115,8 +119,8 @@ class Training:
             for group in optimizer.param_groups:
                 group["lr"] = rate * _rate(self.step, recipe)
         self.model.train()
-        loss = _loss(self.model, batch)
-        loss.backward()
+        logits = _logits(self.model, batch)
+        _loss(logits, batch, recipe.answer_weight).backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         for optimizer in self.optimizers:
             optimizer.step()
@@ -125,17 +129,16 @@ class Training:
         share = max(1 - recipe.average, 1 / self.step)
         for mean, value in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mean.lerp_(value.detach(), share)
-        return loss.item()
+        return cross_entropy(logits.detach(), batch.targets().flatten()).item()
 
     def measure(self, judge_sets: int) -> dict[str, float]:
         """Held-out loss and held-out frames, with the averaged weights."""
         held_out = batches(
-            self.facts, self.tokenizer, _VALIDATION_SEED, self.recipe.rows, self.recipe.length,
-            (0, 0),
+            self.posterior, _VALIDATION_SEED, self.recipe.rows, self.recipe.length, (0, 0)
         )
         with torch.no_grad():
             losses = [
-                _loss(self.average, batch).item()
+                cross_entropy(_logits(self.average, batch), batch.targets().flatten()).item()
                 for batch, _ in itertools.islice(held_out, _VALIDATION_BATCHES)
             ]
         verdict = asdict(judge(self.average, self.tokenizer, self.facts, judge_sets))
@@ -194,7 +197,7 @@ def _rate(step: int, recipe: Recipe) -> float:
     return warm * max(0.01, 1 - step / recipe.steps)
 
 
-def _loss(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
+def _logits(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
     with torch.autocast("cpu", torch.bfloat16):
         logits = model(
             input_ids=batch.ids,
@@ -202,17 +205,30 @@ def _loss(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
             attention_mask=batch.mask().bfloat16(),
             use_cache=False,
         ).logits
-    return cross_entropy(logits.float().flatten(0, 1), batch.targets().flatten())
+    return logits.float().flatten(0, 1)
+
+
+def _loss(logits: torch.Tensor, batch: Batch, answer_weight: float) -> torch.Tensor:
+    """Mean over tokens; a room's name is weighted, and learned from its whole distribution."""
+    targets = batch.targets().flatten()
+    places = torch.tensor([place for place, _, _ in batch.answers])
+    plain = targets.clone()
+    plain[places] = -100
+    total = cross_entropy(logits, plain, reduction="sum")
+    expected = torch.zeros(len(places), logits.shape[1])
+    for row, (_, tokens, probabilities) in zip(expected, batch.answers, strict=True):
+        row[torch.from_numpy(tokens)] = torch.from_numpy(probabilities)
+    total = total + answer_weight * cross_entropy(logits[places], expected, reduction="sum")
+    return total / (targets >= 0).sum()
 
 
 def train(
-    training: Training, measure_every: int, judge_sets: int = 40, stop_at: int | None = None
+    training: Training, measure_every: int, judge_sets: int = 24, stop_at: int | None = None
 ) -> None:
     """Train to the recipe's end (or ``stop_at``), measuring and saving on the way."""
     recipe = training.recipe
     stream = batches(
-        training.facts, training.tokenizer, recipe.seed * 1_000_000, recipe.rows, recipe.length,
-        training.position,
+        training.posterior, recipe.seed * 1_000_000, recipe.rows, recipe.length, training.position
     )
     end = min(recipe.steps, stop_at or recipe.steps)
     tokens = recipe.rows * recipe.length
@@ -298,6 +314,7 @@ def export(training: Training, folder: Path) -> None:
 @click.option("--learning-rate", default=Recipe.learning_rate, show_default=True)
 @click.option("--embedding-rate", default=Recipe.embedding_rate, show_default=True)
 @click.option("--weight-decay", default=Recipe.weight_decay, show_default=True)
+@click.option("--answer-weight", default=Recipe.answer_weight, show_default=True)
 @click.option("--dropout", default=Recipe.dropout, show_default=True)
 @click.option("--average", default=Recipe.average, show_default=True)
 def main(work: Path, output: Path, measure_every: int, **options: Any) -> None:

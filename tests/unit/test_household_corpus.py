@@ -12,7 +12,8 @@ from pipeline.household_lm import check_knowledge
 from pipeline.household_lm.facts import Facts, load_facts
 from pipeline.household_lm.frames import FRAMES, load_frames, parse, read_lines, render
 from pipeline.household_lm.generate import KINDS, documents
-from pipeline.household_lm.scene import Scene, World, is_held_out
+from pipeline.household_lm.scene import Scene
+from pipeline.household_lm.world import World, is_held_out
 
 TRAINED_KINDS = [*KINDS, "walks", "walk_openings"]
 
