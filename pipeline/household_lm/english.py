@@ -13,12 +13,25 @@ from functools import cache
 from roomtables.english import article, pluralise, singular
 
 # The last word, or the whole name, of what is not counted.
-_MASS = frozenset(
-    ["art", "artwork", "baggage", "bedding", "bleach", "bread", "broccoli", "butter", "carpeting", "celery", "cereal", "chalk", "cheese", "chocolate", "clothing", "coffee", "cologne", "cream", "cutlery", "decor", "decoration", "deodorant", "detergent", "dirt", "ear_protection", "equipment", "fabric", "fertilizer", "firewood", "floss", "flooring", "flour", "foil", "food", "footwear", "fruit", "furniture", "garbage", "garlic", "gear", "gel", "gift_wrap", "ginger", "glassware", "glue", "grass", "gravel", "ground", "greenery", "hair", "hair_conditioner", "hardware", "honey", "ice", "incense", "insulation", "jam", "jewellery", "jewelry", "juice", "ketchup", "laundry", "lettuce", "lighting", "linen", "litter", "lotion", "luggage", "lumber", "machinery", "mail", "makeup", "meat", "medicine", "merchandise", "milk", "modeling_clay", "mouthwash", "mustard", "oil", "paint", "paper", "pasta", "pepper", "perfume", "popcorn", "pottery", "produce", "rice", "rubbish", "salsa", "salt", "sandpaper", "sauce", "seating", "shampoo", "sheet_music", "shelving", "shrubbery", "signage", "silverware", "soap", "soda", "soil", "soup", "spinach", "stationery", "steam", "straw", "sugar", "sunscreen", "syrup", "tableware", "tape", "tea", "toothpaste", "trash", "underwear", "vegetation", "vinegar", "wallpaper", "water", "wax", "wine", "wood", "wool", "yarn", "yeast", "yogurt"]
-)
-_NOT_MASS = frozenset(["bell_pepper", "drinking_straw", "measuring_tape", "pizza", "ice_cream_maker"])
-# Plurals that end in no "s", or whose singular means something else.
-_PLURAL = frozenset(["clothes", "glasses", "scissors", "stairs", "shears", "pants", "jeans", "pliers"])
+_MASS_WORDS = """
+art artwork baggage bedding bleach bread broccoli butter carpeting celery cereal chalk cheese
+chocolate clothing coffee cologne cream cutlery decor decoration deodorant detergent dirt
+ear_protection equipment fabric fertilizer firewood floss flooring flour foil food footwear fruit
+furniture garbage garlic gear gel gift_wrap ginger glassware glue grass gravel ground greenery hair
+hair_conditioner hardware honey ice incense insulation jam jewellery jewelry juice ketchup laundry
+lettuce lighting linen litter lotion luggage lumber machinery mail makeup meat medicine merchandise
+milk modeling_clay mouthwash mustard oil paint paper pasta pepper perfume popcorn pottery produce
+rice rubbish salsa salt sandpaper sauce seating shampoo sheet_music shelving shrubbery signage
+silverware soap soda soil soup spinach stationery steam straw sugar sunscreen syrup tableware tape
+tea toothpaste trash underwear vegetation vinegar wallpaper water wax wine wood wool yarn yeast
+yogurt
+"""
+_COUNTED_WORDS = "bell_pepper drinking_straw measuring_tape pizza ice_cream_maker"
+# Plurals whose singular inflect does not see, or that have none.
+_PLURAL_WORDS = "clothes glasses scissors stairs shears pants jeans pliers"
+_MASS = frozenset(_MASS_WORDS.split())
+_NOT_MASS = frozenset(_COUNTED_WORDS.split())
+_PLURAL = frozenset(_PLURAL_WORDS.split())
 
 
 @cache

@@ -15,7 +15,7 @@ from pathlib import Path
 import click
 
 from .facts import Facts, Room, Thing, load_facts
-from .frames import Frame, load_frames, render, slots
+from .grammar import Frame, load_frames, render, slots
 from .scene import Answer, Scene
 from .world import World
 

@@ -15,7 +15,7 @@ from tokenizers import Tokenizer
 from transformers import PreTrainedModel
 
 from .facts import Facts, Room
-from .frames import Frame, load_frames, render
+from .grammar import Frame, load_frames, render
 from .scene import Scene
 from .world import World, is_held_out
 
@@ -115,7 +115,7 @@ def _tree_scores(
     ids = prefix + [token for suffix in suffixes for token in suffix]
     positions = list(range(len(prefix)))
     branch = [-1] * len(prefix)
-    before = [-1] + list(range(len(prefix) - 1))
+    before = [-1, *range(len(prefix) - 1)]
     for number, suffix in enumerate(suffixes):
         for depth in range(len(suffix)):
             before.append(len(before) - 1 if depth else len(prefix) - 1)

@@ -128,11 +128,12 @@ def _tensors(rows: list[list[Document]], length: int) -> Batch:
     answers = []
     for index, row in enumerate(rows):
         at = 0
-        for number, (tokens, targets) in enumerate(row):
-            end = at + len(tokens)
-            ids[index, at:end] = torch.tensor(tokens)
-            positions[index, at:end] = torch.arange(len(tokens))
+        for number, (text, targets) in enumerate(row):
+            end = at + len(text)
+            ids[index, at:end] = torch.tensor(text)
+            positions[index, at:end] = torch.arange(len(text))
             numbers[index, at:end] = number
-            answers += [(index * length + at + place - 1, *rest) for place, *rest in targets]
+            start = index * length + at - 1  # a token is foretold from the one before it
+            answers += [(start + place, tokens, shares) for place, tokens, shares in targets]
             at = end
     return Batch(ids, positions, numbers, answers)

@@ -6,7 +6,7 @@ Where only the objects before it tell a room's name, the name can be marked as a
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,8 +19,12 @@ _LIST_WEIGHTS = (34, 22, 22, 9, 5, 4, 2, 2)
 _THING_SYNONYM_SHARE = 0.2
 MARKS = ("\ue000", "\ue001")  # around an answer, in text that is only for training
 _ROOM_SLOTS = frozenset(["room", "a_room", "the_room", "rooms", "home", "a_home", "the_home"])
-_THING_SLOTS = frozenset(["one", "ones", "the_one", "bare_one", "definition", "kind", "a_kind", "use", "place"])
-_OBJECT_SLOTS = _THING_SLOTS | {"objects", "plurals", "bare_list", "is_are", "them", "more", "digit"}
+_THING_SLOTS = frozenset(
+    ["one", "ones", "the_one", "bare_one", "definition", "kind", "a_kind", "use", "place"]
+)
+_NAMING_SLOTS = frozenset(["objects", "plurals", "bare_list"])
+_LIST_SLOTS = _NAMING_SLOTS | {"is_are", "them", "more", "digit"}
+_DIGITS = ("two", "three", "four", "five", "six", "seven", *"23456789")
 _SETTINGS = {
     "home": ("house", "apartment", "flat", "home", "villa", "cottage"),
     "office": ("office building", "company", "bank", "town hall"),
@@ -76,9 +80,9 @@ class Scene:
     def _told(self, slot: str) -> tuple[str, ...]:
         """Objects told before a room's first mention, when nothing else gives it away."""
         names = slot in _ROOM_SLOTS and self.answers is not None and not self.contrast
-        if not names or not self._filled.keys() <= _OBJECT_SLOTS:
+        if not names or not self._filled.keys() <= (_THING_SLOTS | _LIST_SLOTS):
             return ()
-        told = [] if self._filled.keys() <= _THING_SLOTS else [*self.objects]
+        told = [*self.objects] if self._filled.keys() & _NAMING_SLOTS else []
         told += self._further
         return (*told, self.thing.name) if self._filled.keys() & _THING_SLOTS else tuple(told)
 
@@ -254,10 +258,10 @@ class Scene:
         return english.plural(self._slot_setting_place())
 
     def _slot_digit(self) -> str:
-        return self.rng.choice(["two", "three", "four", "five", "six", "seven", "2", "3", "4", "5", "6", "7", "8", "9"])
+        return str(self.rng.choice(_DIGITS))
 
 
-_SHAPES = {
+_SHAPES: dict[str, Callable[[str], str]] = {
     "a": english.with_article,
     "the": lambda name: f"the {name}",
     "rooms": english.plural,

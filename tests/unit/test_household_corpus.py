@@ -10,8 +10,8 @@ from itertools import islice
 import pytest
 from pipeline.household_lm import check_knowledge
 from pipeline.household_lm.facts import Facts, load_facts
-from pipeline.household_lm.frames import FRAMES, load_frames, parse, read_lines, render
 from pipeline.household_lm.generate import KINDS, documents
+from pipeline.household_lm.grammar import FRAMES, load_frames, parse, read_lines, render
 from pipeline.household_lm.scene import Scene
 from pipeline.household_lm.world import World, is_held_out
 
@@ -25,7 +25,7 @@ def facts() -> Facts:
 
 @pytest.fixture(scope="module")
 def sample(facts: Facts) -> list[str]:
-    return list(islice(documents(facts, seed=77), 12_000))
+    return list(islice(documents(facts, seed=77), 6_000))
 
 
 def test_the_knowledge_has_no_problems(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,9 +10,12 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
+from pipeline.household_lm.answers import Posterior  # noqa: E402
 from pipeline.household_lm.facts import Facts, load_facts  # noqa: E402
 from pipeline.household_lm.packing import BOS, batches, train_tokenizer  # noqa: E402
-from pipeline.household_lm.train import Recipe, Training, export, train  # noqa: E402
+from pipeline.household_lm.train import export, train  # noqa: E402
+from pipeline.household_lm.training import Recipe, Training  # noqa: E402
+from pipeline.household_lm.world import World  # noqa: E402
 
 RECIPE = Recipe(
     tokens=6 * 4 * 64,
@@ -82,7 +85,8 @@ def test_documents_share_a_row_and_see_nothing_of_each_other(facts: Facts, token
     from tokenizers import Tokenizer
 
     bos = Tokenizer.from_str(tokenizer).token_to_id(BOS)
-    batch, _ = next(batches(facts, Tokenizer.from_str(tokenizer), 1, 8, 64, (0, 0)))
+    posterior = Posterior(World(facts), Tokenizer.from_str(tokenizer))
+    batch, _ = next(batches(posterior, 1, 8, 64, (0, 0)))
     starts = (batch.ids == bos) & (batch.document >= 0)
     assert torch.equal(starts, (batch.positions == 0) & (batch.document >= 0))
     seen = batch.mask()[:, 0] == 0

@@ -1,0 +1,216 @@
+"""One training of household-lm: its recipe, its checkpoint, its steps, and its measures."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import torch
+from tokenizers import Tokenizer
+from torch.nn.functional import cross_entropy
+from transformers import LlamaConfig, LlamaForCausalLM
+
+from .answers import Posterior
+from .facts import Facts
+from .judge import judge
+from .packing import BOS, Batch, batches, train_tokenizer
+from .world import World
+
+_VALIDATION_SEED = 900_000_000
+_VALIDATION_BATCHES = 12
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that the weights depend on, besides the knowledge and the frames."""
+
+    seed: int = 0
+    tokens: int = 6_000_000
+    vocabulary: int = 4096
+    width: int = 160
+    layers: int = 3
+    inner: int = 448
+    heads: int = 5
+    rows: int = 24
+    length: int = 128
+    learning_rate: float = 6e-3
+    embedding_rate: float = 6e-3
+    weight_decay: float = 0.05
+    answer_weight: float = 10.0
+    dropout: float = 0.0
+    warmup_steps: int = 60
+    average: float = 0.995
+
+    @property
+    def steps(self) -> int:
+        """How many updates the tokens make."""
+        return max(1, self.tokens // (self.rows * self.length))
+
+
+class Training:
+    """A model in training, with all that a checkpoint holds."""
+
+    def __init__(self, recipe: Recipe, facts: Facts, work: Path) -> None:
+        self.recipe, self.facts, self.work = recipe, facts, work
+        self.checkpoint = work / "checkpoint.pt"
+        self.tokenizer = _tokenizer(facts, recipe, work)
+        self.posterior = Posterior(World(facts), self.tokenizer)
+        torch.manual_seed(recipe.seed)
+        self.model = new_model(recipe, self.tokenizer)
+        self.average = new_model(recipe, self.tokenizer).requires_grad_(False).eval()
+        self.average.load_state_dict(self.model.state_dict())
+        self.optimizers = _optimizers(self.model, recipe)
+        self.step, self.position = 0, (0, 0)
+
+    def save(self) -> None:
+        """Write a checkpoint beside the old one, then replace it."""
+        aside = self.checkpoint.with_suffix(".tmp")
+        state = {
+            "recipe": asdict(self.recipe), "model": self.model.state_dict(),
+            "average": self.average.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
+            "step": self.step, "position": self.position, "random": torch.get_rng_state(),
+        }
+        torch.save(state, aside)
+        os.replace(aside, self.checkpoint)
+
+    def resume(self) -> None:
+        """Take up the checkpoint, where there is one.
+
+        Raises
+        ------
+        click.ClickException
+            It was written with another recipe.
+        """
+        if not self.checkpoint.exists():
+            return
+        state: dict[str, Any] = torch.load(self.checkpoint, weights_only=True)
+        if state["recipe"] != asdict(self.recipe):
+            raise click.ClickException(
+                f"{self.checkpoint} was written with other options; "
+                "give the same ones, or another --work folder"
+            )
+        self.model.load_state_dict(state["model"])
+        self.average.load_state_dict(state["average"])
+        for optimizer, saved in zip(self.optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(saved)
+        self.step, self.position = state["step"], tuple(state["position"])
+        torch.set_rng_state(state["random"])
+
+    def update(self, batch: Batch) -> float:
+        """Make one step; returns the batch's mean loss in nats per token."""
+        recipe = self.recipe
+        for optimizer, rate in zip(
+            self.optimizers, (recipe.learning_rate, recipe.embedding_rate), strict=True
+        ):
+            for group in optimizer.param_groups:
+                group["lr"] = rate * _rate(self.step, recipe)
+        self.model.train()
+        logits = _logits(self.model, batch)
+        loss: Any = _loss(logits, batch, recipe.answer_weight)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        for optimizer in self.optimizers:
+            optimizer.step()
+            optimizer.zero_grad(set_to_none=True)
+        self.step += 1
+        share = max(1 - recipe.average, 1 / self.step)
+        for mean, value in zip(self.average.parameters(), self.model.parameters(), strict=True):
+            mean.lerp_(value.detach(), share)
+        return cross_entropy(logits.detach(), batch.targets().flatten()).item()
+
+    def measure(self, judge_sets: int) -> dict[str, float]:
+        """Held-out loss and held-out frames, with the averaged weights."""
+        held_out = batches(
+            self.posterior, _VALIDATION_SEED, self.recipe.rows, self.recipe.length, (0, 0)
+        )
+        with torch.no_grad():
+            losses = [
+                cross_entropy(_logits(self.average, batch), batch.targets().flatten()).item()
+                for batch, _ in itertools.islice(held_out, _VALIDATION_BATCHES)
+            ]
+        verdict = asdict(judge(self.average, self.tokenizer, self.facts, judge_sets))
+        return {"held_out_loss": sum(losses) / len(losses), **verdict}
+
+
+def _tokenizer(facts: Facts, recipe: Recipe, work: Path) -> Tokenizer:
+    path = work / "tokenizer.json"
+    if not path.exists():
+        tokenizer = train_tokenizer(facts, recipe.vocabulary)
+        tokenizer.save(str(path.with_suffix(".tmp")))
+        os.replace(path.with_suffix(".tmp"), path)
+    return Tokenizer.from_file(str(path))
+
+
+def new_model(recipe: Recipe, tokenizer: Tokenizer) -> LlamaForCausalLM:
+    """Make an untrained model of the recipe's size."""
+    return LlamaForCausalLM(
+        LlamaConfig(
+            vocab_size=tokenizer.get_vocab_size(),
+            hidden_size=recipe.width,
+            num_hidden_layers=recipe.layers,
+            intermediate_size=recipe.inner,
+            num_attention_heads=recipe.heads,
+            num_key_value_heads=recipe.heads,
+            max_position_embeddings=512,
+            attention_dropout=recipe.dropout,
+            tie_word_embeddings=True,
+            bos_token_id=tokenizer.token_to_id(BOS),
+            eos_token_id=None,
+            pad_token_id=None,
+        )
+    )
+
+
+def _optimizers(model: LlamaForCausalLM, recipe: Recipe) -> list[torch.optim.Optimizer]:
+    """Muon for the matrices inside the layers, AdamW for the embedding and the norms."""
+    inner = [value for name, value in model.named_parameters() if _is_inner(name, value)]
+    rest = [value for name, value in model.named_parameters() if not _is_inner(name, value)]
+    muon = torch.optim.Muon(
+        inner, lr=recipe.learning_rate, weight_decay=recipe.weight_decay,
+        adjust_lr_fn="match_rms_adamw",
+    )
+    adam = torch.optim.AdamW(
+        rest, lr=recipe.embedding_rate, weight_decay=0.0, betas=(0.9, 0.97), fused=True
+    )
+    return [muon, adam]
+
+
+def _is_inner(name: str, value: torch.Tensor) -> bool:
+    return value.ndim == 2 and "layers." in name
+
+
+def _rate(step: int, recipe: Recipe) -> float:
+    """Linear warm-up, then a linear way down to a hundredth."""
+    warm = min(1.0, (step + 1) / recipe.warmup_steps)
+    return warm * max(0.01, 1 - step / recipe.steps)
+
+
+def _logits(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
+    with torch.autocast("cpu", torch.bfloat16):
+        logits = model(
+            input_ids=batch.ids,
+            position_ids=batch.positions,
+            attention_mask=batch.mask().bfloat16(),
+            use_cache=False,
+        ).logits
+    flat: torch.Tensor = logits.float().flatten(0, 1)
+    return flat
+
+
+def _loss(logits: torch.Tensor, batch: Batch, answer_weight: float) -> torch.Tensor:
+    """Mean over tokens; a room's name is weighted, and learned from its whole distribution."""
+    targets = batch.targets().flatten()
+    places = torch.tensor([place for place, _, _ in batch.answers])
+    plain = targets.clone()
+    plain[places] = -100
+    total = cross_entropy(logits, plain, reduction="sum")
+    expected = torch.zeros(len(places), logits.shape[1])
+    for row, (_, tokens, probabilities) in zip(expected, batch.answers, strict=True):
+        row[torch.from_numpy(tokens)] = torch.from_numpy(probabilities)
+    total = total + answer_weight * cross_entropy(logits[places], expected, reduction="sum")
+    return total / (targets >= 0).sum()
