@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from pipeline.household_lm.frames import FRAMES, read_lines
 from pipeline.household_lm.generate import KINDS
+from pipeline.household_lm.grammar import FRAMES, read_lines
 
 from roomtables.lm import load_scorer
 from roomtables.lm.folders import EMBEDDED_FOLDER
