@@ -30,7 +30,7 @@ lint: $(VENV)/.installed-dev
 
 # Reproduces the embedded model: hours on a CPU. See pipeline/household_lm/.
 household-lm: $(VENV)/.installed-dev
-	$(BIN)/python pipeline/household_lm/train.py
+	$(BIN)/python -m pipeline.household_lm.train
 
 clean:
 	rm -rf $(VENV) build dist

@@ -47,9 +47,7 @@ class Posterior:
         text = _MARK.sub(r"\1", marked)
         encoding = self.tokenizer.encode(text)
         found = []
-        for number, (match, answer) in enumerate(
-            zip(_MARK.finditer(marked), answers, strict=True)
-        ):
+        for number, (match, answer) in enumerate(zip(_MARK.finditer(marked), answers, strict=True)):
             token = encoding.char_to_token(match.start() - 2 * number)
             target = self._target(answer)
             if token and encoding.ids[token] in target[0]:

@@ -54,9 +54,7 @@ class Batch:
         return torch.where(same, next_ids, -100)
 
 
-def train_tokenizer(
-    facts: Facts, vocabulary: int, count: int = _TOKENIZER_DOCUMENTS
-) -> Tokenizer:
+def train_tokenizer(facts: Facts, vocabulary: int, count: int = _TOKENIZER_DOCUMENTS) -> Tokenizer:
     """Train a byte-level BPE tokenizer that puts BOS, and no EOS, around a sentence."""
     tokenizer = Tokenizer(models.BPE())
     tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)

@@ -51,8 +51,13 @@ class Scene:
     """Fills the slots of one frame, each slot with the same words wherever it recurs."""
 
     def __init__(
-        self, world: World, rng: random.Random, room: tuple[str, Room] | None = None,
-        thing: Thing | None = None, contrast: bool = False, answers: list[Answer] | None = None,
+        self,
+        world: World,
+        rng: random.Random,
+        room: tuple[str, Room] | None = None,
+        thing: Thing | None = None,
+        contrast: bool = False,
+        answers: list[Answer] | None = None,
     ) -> None:
         self.world, self.rng, self.contrast, self.answers = world, rng, contrast, answers
         self.name, self.room = room or world.draw_room(rng)

@@ -34,7 +34,10 @@ def train(
     end = min(recipe.steps, stop_at or recipe.steps)
     tokens = recipe.rows * recipe.length
     bar = tqdm(
-        total=recipe.steps * tokens, initial=training.step * tokens, unit="token", unit_scale=True,
+        total=recipe.steps * tokens,
+        initial=training.step * tokens,
+        unit="token",
+        unit_scale=True,
         mininterval=2,
     )
     with bar:
@@ -68,7 +71,9 @@ def export(training: Training, folder: Path) -> None:
     model.half().save_pretrained(folder)
     (folder / "generation_config.json").unlink(missing_ok=True)
     PreTrainedTokenizerFast(
-        tokenizer_object=training.tokenizer, bos_token=BOS, clean_up_tokenization_spaces=False,
+        tokenizer_object=training.tokenizer,
+        bos_token=BOS,
+        clean_up_tokenization_spaces=False,
         model_max_length=512,
     ).save_pretrained(folder)
 

@@ -70,10 +70,13 @@ class Training:
         """Write a checkpoint beside the old one, then replace it."""
         aside = self.checkpoint.with_suffix(".tmp")
         state = {
-            "recipe": asdict(self.recipe), "model": self.model.state_dict(),
+            "recipe": asdict(self.recipe),
+            "model": self.model.state_dict(),
             "average": self.average.state_dict(),
             "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
-            "step": self.step, "position": self.position, "random": torch.get_rng_state(),
+            "step": self.step,
+            "position": self.position,
+            "random": torch.get_rng_state(),
         }
         torch.save(state, aside)
         os.replace(aside, self.checkpoint)
@@ -171,7 +174,9 @@ def _optimizers(model: LlamaForCausalLM, recipe: Recipe) -> list[torch.optim.Opt
     inner = [value for name, value in model.named_parameters() if _is_inner(name, value)]
     rest = [value for name, value in model.named_parameters() if not _is_inner(name, value)]
     muon = torch.optim.Muon(
-        inner, lr=recipe.learning_rate, weight_decay=recipe.weight_decay,
+        inner,
+        lr=recipe.learning_rate,
+        weight_decay=recipe.weight_decay,
         adjust_lr_fn="match_rms_adamw",
     )
     adam = torch.optim.AdamW(

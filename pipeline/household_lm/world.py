@@ -76,9 +76,8 @@ class World:
     def tells_apart(self, thing: str, home: str) -> bool:
         """Tell whether an object is much rarer in most other rooms than at home."""
         return len(self.rivals(thing, home)[0]) > len(self.names) / 2 and (
-            self.facts.rooms[home].objects[thing] > self.facts.rooms[
-                self.rivals(thing, home)[0][0][1].name
-            ].objects.get(thing, 0.0)
+            self.facts.rooms[home].objects[thing]
+            > self.facts.rooms[self.rivals(thing, home)[0][0][1].name].objects.get(thing, 0.0)
         )
 
     def draw_room(self, rng: random.Random) -> tuple[str, Room]:
@@ -86,7 +85,11 @@ class World:
         return rng.choices(self.names, self.name_weights)[0]
 
     def draw_objects(
-        self, room: Room, count: int, rng: random.Random, without: Sequence[str] = (),
+        self,
+        room: Room,
+        count: int,
+        rng: random.Random,
+        without: Sequence[str] = (),
         skip_held_out: bool = True,
     ) -> list[str]:
         """Draw distinct objects of a room in proportion to how typical they are."""
