@@ -49,12 +49,36 @@ class Posterior:
         found = []
         for number, (match, answer) in enumerate(zip(_MARK.finditer(marked), answers, strict=True)):
             token = encoding.char_to_token(match.start() - 2 * number)
-            target = self._target(answer)
+            target = self._object(answer) if answer.room else self._room(answer)
             if token and encoding.ids[token] in target[0]:
                 found.append((token, *target))
         return encoding.ids, found
 
-    def _target(self, answer: Answer) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def _object(self, answer: Answer) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        things, shares, tokens, place = self._objects_of(answer.room or "", answer.form)
+        told = [self._things[name] for name in answer.told]
+        share = np.where(np.isin(things, told), 0.0, shares)
+        summed = np.bincount(place, share / share.sum(), minlength=len(tokens))
+        return tokens, summed.astype(np.float32)
+
+    @cache  # noqa: B019 - one Posterior lives as long as the training
+    def _objects_of(
+        self, room: str, form: str
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+        """Every name of a room's objects: its object, share, and first token."""
+        found = [
+            (self._things[name], typical * share, called)
+            for name, typical in self.world.facts.rooms[room].objects.items()
+            for called, share in self.world.facts.things[name].called()
+            if form in ("bare", "plural") or english.with_article(called) == f"{form} {called}"
+        ]
+        forms = [english.plural(name) if form == "plural" else name for _, _, name in found]
+        first = [self.tokenizer.encode(f" {name}").ids[1] for name in forms]
+        tokens, place = np.unique(np.array(first, dtype=np.int64), return_inverse=True)
+        things = np.array([thing for thing, _, _ in found], dtype=np.int64)
+        return things, np.array([share for _, share, _ in found]), tokens, place
+
+    def _room(self, answer: Answer) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         told = self._log[[self._things[name] for name in answer.told]].sum(0) + self._prior
         if answer.form == "a":
             fits = self._has_an == self._has_an[self._names[answer.name]]

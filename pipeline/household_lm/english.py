@@ -7,7 +7,7 @@ the scored sentences do; uncountable nouns, which a label does not show, are nam
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 from roomtables.english import article, pluralise, singular
@@ -69,19 +69,30 @@ def listed(items: Sequence[str], rng: random.Random) -> str:
     return ", ".join(head) + link + last
 
 
-def noun_list(names: Sequence[str], rng: random.Random) -> tuple[str, bool]:
+Mark = Callable[[int, str, str], str]  # index, form, noun: the noun, perhaps marked
+
+
+def noun_list(
+    names: Sequence[str], rng: random.Random, mark: Mark | None = None
+) -> tuple[str, bool]:
     """Render objects in one manner; also tell whether a verb after them is plural."""
     manner = rng.choices(["plural", "article", "mixed", "bare", "some"], [50, 27, 10, 8, 5])[0]
-    words = [_noun(name, manner, rng) for name in names]
-    is_plural = len(names) > 1 or number(names[0]) == "plural" or words[0] == plural(names[0])
+    words, plain = [], []
+    for index, name in enumerate(names):
+        before, form, noun = _noun(name, manner, rng)
+        plain.append(before + noun)
+        words.append(before + (mark(index, form, noun) if mark else noun))
+    is_plural = len(names) > 1 or number(names[0]) == "plural" or plain[0] == plural(names[0])
     return listed(words, rng), is_plural and not (len(names) == 1 and number(names[0]) == "mass")
 
 
-def _noun(name: str, manner: str, rng: random.Random) -> str:
+def _noun(name: str, manner: str, rng: random.Random) -> tuple[str, str, str]:
+    """Give what stands before a noun, the form that it takes, and the noun in that form."""
     if manner == "mixed":
         manner = rng.choice(["plural", "article", "article", "some"])
     if manner == "article":
-        return with_article(name)
+        before = with_article(name).removesuffix(name)
+        return before, before.strip(), name
     if manner == "bare" or (number(name) == "mass" and rng.random() < 0.5):
-        return name
-    return plural(name) if manner == "plural" else f"some {plural(name)}"
+        return "", "bare", name
+    return ("" if manner == "plural" else "some "), "plural", plural(name)

@@ -11,6 +11,7 @@ KNOWLEDGE = Path(__file__).parent / "knowledge"
 
 # How probable it is that a room of the kind holds the object.
 TIERS = {"nearly_always": 0.9, "often": 0.5, "sometimes": 0.2, "rarely": 0.05}
+SYNONYM_SHARE = 0.2  # of an object's mentions
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,13 @@ class Thing:
     use: str
     places: tuple[str, ...]
     synonyms: tuple[str, ...]
+
+    def called(self) -> list[tuple[str, float]]:
+        """Every name that the object goes by, with how often it does."""
+        if not self.synonyms:
+            return [(self.name, 1.0)]
+        share = SYNONYM_SHARE / len(self.synonyms)
+        return [(self.name, 1 - SYNONYM_SHARE), *((name, share) for name in self.synonyms)]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ asked to score ("A room cont… is called …") is never written.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -15,20 +16,21 @@ from pathlib import Path
 import click
 
 from .facts import Facts, Room, Thing, load_facts
-from .grammar import Frame, load_frames, render, slots
+from .grammar import Frame, load_frames, own_words, render, slots
 from .scene import Answer, Scene
 from .world import World
 
 # How often a kind of frame is drawn. Objects before their room: that is what is asked later.
 KINDS = {
     "objects_to_room": 90,
-    "room_to_objects": 10,
+    "room_to_objects": 30,
     "rooms": 8,
     "things": 12,
     "comparisons": 8,
     "stories": 16,
 }
 # How often a document is of a kind: one sentence; several on one room; several on many rooms.
+NOISE_SHARE = 0.25  # of sentences have words of their frame replaced
 DOCUMENTS = {"sentence": 90, "one_room": 8, "many_rooms": 14, "walk": 6}
 
 
@@ -53,7 +55,21 @@ class Writer:
             thing = self._thing()
         answers = self.answers if self.mark and not room else None
         scene = Scene(self.world, self.rng, room, thing, kind == "comparisons", answers)
-        return render(frame, scene.fill, self.rng)
+        return render(frame, scene.fill, self.rng, self._noise() if not room else str)
+
+    def _noise(self) -> Callable[[str], str]:
+        """Mostly nothing; else replace words of the frame, which then say nothing of the room.
+
+        A model that has learned so keeps to the objects in a sentence of a kind it never read.
+        """
+        if self.rng.random() >= NOISE_SHARE:
+            return str
+        share = self.rng.choice([0.15, 0.35, 0.6, 1.0])
+
+        def word(match: re.Match[str]) -> str:
+            return self.rng.choice(_words()) if self.rng.random() < share else match.group()
+
+        return lambda text: re.sub(r"[A-Za-z]+", word, text)
 
     def _thing(self) -> Thing:
         return self.rng.choice(self.world.placed)
@@ -78,6 +94,15 @@ class Writer:
 @cache
 def _frames(kind: str) -> list[Frame]:
     return load_frames(kind)
+
+
+@cache
+def _words() -> list[str]:
+    """The words of all frames, less those that could make the query's sentence."""
+    found: set[str] = set()
+    for kind in (*KINDS, "walks", "walk_openings"):
+        found.update(*(own_words(frame) for frame in _frames(kind)))
+    return sorted(found - {"containing", "called"})
 
 
 @cache

@@ -58,19 +58,36 @@ def _alternatives(text: str, at: int) -> tuple[list[Frame], int]:
             return choice, at
 
 
-def render(frame: Frame, fill: Callable[[str], str], rng: random.Random) -> str:
-    """Fill the slots and pick the alternatives of a frame; tidy spaces and capitals."""
-    return tidy("".join(_pieces(frame, fill, rng)))
+Words = Callable[[str], str]
 
 
-def _pieces(frame: Frame, fill: Callable[[str], str], rng: random.Random) -> list[str]:
+def render(frame: Frame, fill: Words, rng: random.Random, say: Words = str) -> str:
+    """Fill the slots and pick the alternatives of a frame; tidy spaces and capitals.
+
+    ``say`` may change the frame's own words.
+    """
+    return tidy("".join(_pieces(frame, fill, rng, say)))
+
+
+def _pieces(frame: Frame, fill: Words, rng: random.Random, say: Words) -> list[str]:
     pieces: list[str] = []
     for part in frame:
         if isinstance(part, list):
-            pieces += _pieces(rng.choice(part), fill, rng)
+            pieces += _pieces(rng.choice(part), fill, rng, say)
         else:
-            pieces.append(fill(part[1:-1]) if part.startswith("{") else part)
+            pieces.append(fill(part[1:-1]) if part.startswith("{") else say(part))
     return pieces
+
+
+def own_words(frame: Frame) -> set[str]:
+    """Every word that a frame has of its own."""
+    found: set[str] = set()
+    for part in frame:
+        if isinstance(part, list):
+            found.update(*(own_words(option) for option in part))
+        elif not part.startswith("{"):
+            found.update(re.findall(r"[A-Za-z]+", part))
+    return found
 
 
 def tidy(text: str) -> str:

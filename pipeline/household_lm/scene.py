@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from . import english
-from .facts import Room, Thing
+from .facts import SYNONYM_SHARE, Room, Thing
 from .world import World
 
 _LIST_LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8)
 _LIST_WEIGHTS = (34, 22, 22, 9, 5, 4, 2, 2)
-_THING_SYNONYM_SHARE = 0.2
 MARKS = ("\ue000", "\ue001")  # around an answer, in text that is only for training
 _ROOM_SLOTS = frozenset(["room", "a_room", "the_room", "rooms", "home", "a_home", "the_home"])
 _THING_SLOTS = frozenset(
@@ -40,11 +39,15 @@ _SETTINGS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """A room's name that only the objects before it tell: its form and those objects."""
+    """A name that what stands before it tells: its form, and the objects told.
+
+    Without a ``room`` it is a room's name; with one it is the name of an object in that room.
+    """
 
     name: str
     form: str
     told: tuple[str, ...]
+    room: str | None = None
 
 
 class Scene:
@@ -158,20 +161,35 @@ class Scene:
 
     @cached_property
     def _listed(self) -> tuple[str, bool]:
-        return self._list(self.objects)
+        told = [self.thing.name] if self._filled.keys() & _THING_SLOTS else []
+        return self._list(self.objects, told, self._knows_room())
 
     @cached_property
     def _never(self) -> str:
         return self._called(self.world.facts.things[self.rng.choice(self.room.never)])
 
     def _called(self, thing: Thing) -> str:
-        if thing.synonyms and self.rng.random() < _THING_SYNONYM_SHARE:
+        if thing.synonyms and self.rng.random() < SYNONYM_SHARE:
             return self.rng.choice(thing.synonyms)
         return thing.name
 
-    def _list(self, names: Sequence[str]) -> tuple[str, bool]:
-        things = self.world.facts.things
-        return english.noun_list([self._called(things[name]) for name in names], self.rng)
+    def _list(
+        self, names: Sequence[str], told: Sequence[str] = (), known: bool = False
+    ) -> tuple[str, bool]:
+        """List objects; where the room is ``known``, each is an answer."""
+        called = [self._called(self.world.facts.things[name]) for name in names]
+
+        def mark(index: int, form: str, noun: str) -> str:
+            if self.answers is None or not known or not form:
+                return noun
+            before = (*told, *names[:index])
+            self.answers.append(Answer(called[index], form, before, self.room.name))
+            return MARKS[0] + noun + MARKS[1]
+
+        return english.noun_list(called, self.rng, mark)
+
+    def _knows_room(self) -> bool:
+        return not self.contrast and bool(self._filled.keys() & _ROOM_SLOTS)
 
     def _more(self, room: Room, without: Sequence[str]) -> str:
         count = self.rng.choice([1, 2, 2, 3])
@@ -200,7 +218,7 @@ class Scene:
         self._further = self.world.draw_objects(
             self.room, self.rng.choice([1, 2, 2, 3]), self.rng, self.objects
         )
-        return self._list(self._further)[0]
+        return self._list(self._further, self.objects, self._knows_room())[0]
 
     def _slot_objects_home(self) -> str:
         return self._more(self.room, [self.thing.name])
