@@ -67,7 +67,7 @@ class Writer:
         share = self.rng.choice([0.15, 0.35, 0.6, 1.0])
 
         def word(match: re.Match[str]) -> str:
-            return self.rng.choice(_words()) if self.rng.random() < share else match.group()
+            return self.rng.choice(noise_words()) if self.rng.random() < share else match.group()
 
         return lambda text: re.sub(r"[A-Za-z]+", word, text)
 
@@ -97,8 +97,8 @@ def _frames(kind: str) -> list[Frame]:
 
 
 @cache
-def _words() -> list[str]:
-    """The words of all frames, less those that could make the query's sentence."""
+def noise_words() -> list[str]:
+    """Give the words of all frames, less those that could make the query's sentence."""
     found: set[str] = set()
     for kind in (*KINDS, "walks", "walk_openings"):
         found.update(*(own_words(frame) for frame in _frames(kind)))

@@ -10,7 +10,7 @@ from itertools import islice
 import pytest
 from pipeline.household_lm import check_knowledge
 from pipeline.household_lm.facts import Facts, load_facts
-from pipeline.household_lm.generate import KINDS, documents
+from pipeline.household_lm.generate import KINDS, documents, noise_words
 from pipeline.household_lm.grammar import FRAMES, load_frames, parse, read_lines, render
 from pipeline.household_lm.scene import Scene
 from pipeline.household_lm.world import World, is_held_out
@@ -44,6 +44,12 @@ def test_the_query_frame_is_in_no_file_of_frames() -> None:
         for line in read_lines(path):
             assert not re.search(r"(room|rooms|\{room\}|_room\})\W.{0,40}containing", line), line
             assert not ("containing" in line and "called" in line), line
+
+
+def test_noise_cannot_make_the_query_frame() -> None:
+    words = noise_words()
+    assert len(words) > 500
+    assert not {"containing", "called"} & set(words)
 
 
 def test_the_words_of_the_query_frame_occur_elsewhere(sample: list[str]) -> None:
