@@ -29,6 +29,7 @@ yogurt
 _COUNTED_WORDS = "bell_pepper drinking_straw measuring_tape pizza ice_cream_maker"
 # Plurals whose singular inflect does not see, or that have none.
 _PLURAL_WORDS = "clothes glasses scissors stairs shears pants jeans pliers"
+_DETERMINERS = ("some ", "some ", "several ", "many ", "the ", "old ", "new ", "two ", "various ")
 _MASS = frozenset(_MASS_WORDS.split())
 _NOT_MASS = frozenset(_COUNTED_WORDS.split())
 _PLURAL = frozenset(_PLURAL_WORDS.split())
@@ -76,7 +77,7 @@ def noun_list(
     names: Sequence[str], rng: random.Random, mark: Mark | None = None
 ) -> tuple[str, bool]:
     """Render objects in one manner; also tell whether a verb after them is plural."""
-    manner = rng.choices(["plural", "article", "mixed", "bare", "some"], [50, 27, 10, 8, 5])[0]
+    manner = rng.choices(["plural", "article", "mixed", "bare", "some"], [46, 25, 10, 7, 12])[0]
     words, plain = [], []
     for index, name in enumerate(names):
         before, form, noun = _noun(name, manner, rng)
@@ -95,4 +96,5 @@ def _noun(name: str, manner: str, rng: random.Random) -> tuple[str, str, str]:
         return before, before.strip(), name
     if manner == "bare" or (number(name) == "mass" and rng.random() < 0.5):
         return "", "bare", name
-    return ("" if manner == "plural" else "some "), "plural", plural(name)
+    before = "" if manner == "plural" else rng.choice(_DETERMINERS)
+    return before, "plural", plural(name)

@@ -23,7 +23,7 @@ from .world import World
 # How often a kind of frame is drawn. Objects before their room: that is what is asked later.
 KINDS = {
     "objects_to_room": 90,
-    "room_to_objects": 30,
+    "room_to_objects": 60,
     "rooms": 8,
     "things": 12,
     "comparisons": 8,
