@@ -74,7 +74,7 @@ def parse_room_lines(lines: Iterable[str | bytes], source: str) -> Iterator[Room
             value = json.loads(text.lstrip("\ufeff"))
         except UnicodeDecodeError as error:
             raise InputError(f"{where}: not UTF-8 text ({error.reason})") from error
-        except (json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:  # also a number of thousands of digits
             raise InputError(f"{where}: invalid JSON ({error})") from error
         yield parse_room(value, where)
 
