@@ -1,32 +1,65 @@
 """A room as every part of roomtables sees it, and the JSON lines that carry rooms in.
 
 One line is ``{"room_id": …, "room"?: …, "objects": […]}``; ``room`` is the ground truth, a label or
-several (a list, or ``a;b``), any of which is right.
+several (a list, or ``a;b``), any of which is right. Beside ``objects`` a line may carry
+``counts`` or ``confidences``, lists of one number per object.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from roomtables.errors import InputError
 
+COUNTS = "counts"
+CONFIDENCES = "confidences"
+MEASURES = (COUNTS, CONFIDENCES)
+
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """One room: its id, the labels of the objects in it, and the true room labels where known."""
+    """One room: its id, the labels of the objects in it, and the true room labels where known.
+
+    ``measures`` holds the line's ``counts`` and ``confidences`` as they stand there, one entry per
+    object; they are looked at only by who asks for them (:meth:`measured`).
+    """
 
     room_id: str
     objects: tuple[str, ...]
     truth: tuple[str, ...] = ()
+    measures: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, hash=False)
+
+    def measured(self, name: str) -> tuple[float, ...]:
+        """``counts`` or ``confidences``, one per object; all 1 where the room has none.
+
+        Raises
+        ------
+        InputError
+            They are not as many as the objects, or one is not a number from 0 (to 1).
+        """
+        values = self.measures.get(name, (1.0,) * len(self.objects))
+        highest = 1.0 if name == CONFIDENCES else sys.float_info.max
+        if len(values) != len(self.objects) or not all(
+            isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= highest
+            for v in values
+        ):
+            upper = " and at most 1" if name == CONFIDENCES else ""
+            raise InputError(
+                f"room {self.room_id!r}: `{name}` must be a list with one number of 0 or more"
+                f"{upper} per object"
+            )
+        return tuple(map(float, values))
 
     def as_json(self) -> dict[str, Any]:
         """The room as a room line; ``room`` only where the truth is known."""
         truth = {"room": ";".join(self.truth)} if self.truth else {}
-        return {"room_id": self.room_id, **truth, "objects": list(self.objects)}
+        measures = {name: list(values) for name, values in self.measures.items()}
+        return {"room_id": self.room_id, **truth, "objects": list(self.objects), **measures}
 
 
 def parse_room(value: object, where: str) -> Room:
@@ -45,7 +78,8 @@ def parse_room(value: object, where: str) -> Room:
     objects = value.get("objects")
     if not isinstance(objects, list) or not all(isinstance(name, str) for name in objects):
         raise InputError(f"{where}: `objects` must be a list of strings")
-    return Room(str(room_id), tuple(objects), _truth(value.get("room"), where))
+    measures = {n: tuple(v) for n in MEASURES if isinstance(v := value.get(n), list)}
+    return Room(str(room_id), tuple(objects), _truth(value.get("room"), where), measures)
 
 
 def _truth(value: object, where: str) -> tuple[str, ...]:

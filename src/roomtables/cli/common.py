@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import click
 
 from roomtables.errors import RoomtablesError
+from roomtables.rooms import MEASURES
 from roomtables.schemas import RULES, SOURCES
 from roomtables.store import write_aside
 
@@ -78,6 +79,20 @@ def _rooms(ctx: click.Context, param: click.Parameter, value: str | None) -> tup
     return None if value is None else tuple(value.split(","))
 
 
+def _temperature(ctx: click.Context, param: click.Parameter, value: str | None) -> Any:
+    if value in {None, "auto"}:
+        return value
+    try:
+        return float(str(value))
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is neither a number nor `auto`") from None
+
+
+weights_option = click.option(
+    "--weights", type=click.Choice(MEASURES), help="What room lines say of each object counts."
+)
+
+
 def decision_options(command: Command) -> Command:
     """Options that say how a room is decided; absent ones are as the tables were built."""
     for option in reversed(
@@ -87,6 +102,8 @@ def decision_options(command: Command) -> Command:
             click.option("--rooms", callback=_rooms, help="Candidate rooms, separated by commas."),
             click.option("--prior-weight", type=float, help="λ of rules calibrated and pooled."),
             click.option("--evidence-power", type=float, help="γ of rule pooled."),
+            click.option("--temperature", callback=_temperature, help="A number, or auto."),
+            click.option("--min-probability", type=float, help="Below it a room stays unknown."),
             click.option("--offline", is_flag=True, help="Never load a language model."),
         )
     ):

@@ -16,6 +16,7 @@ from roomtables.cli.common import (
     output_option,
     render,
     tables_option,
+    weights_option,
 )
 from roomtables.evaluation import Evaluation, evaluate
 from roomtables.evaluation.comparison import Comparison, compare, parse_conditions
@@ -35,6 +36,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 @tables_option
 @labels_option
 @decision_options
+@weights_option
 @format_option("table", "json")
 @output_option
 def evaluate_command(
@@ -44,6 +46,7 @@ def evaluate_command(
     statistics: bool,
     plot: Path | None,
     plot_calibration: Path | None,
+    weights: str | None,
     tables: Path,
     labels: str,
     format_: str,
@@ -58,7 +61,7 @@ def evaluate_command(
       roomtables evaluate rooms.jsonl --compare query:proxy,pooled:proxy --plot rooms.svg
       roomtables evaluate rooms.jsonl --sweep --plot sweep.png
     """
-    if sweeps and (conditions or statistics or plot_calibration):
+    if sweeps and (conditions or statistics or plot_calibration or weights):
         raise click.UsageError("--sweep goes with --plot alone")
     check_plots(plot, plot_calibration)
     asked = parse_conditions(conditions) if conditions else ()
@@ -70,11 +73,11 @@ def evaluate_command(
         _draw("sweep", swept, plot)
         return
     if asked:
-        compared = compare(rooms_file, opened, asked)
+        compared = compare(rooms_file, opened, asked, weights)
         emit(_comparison_text(compared) if as_text else as_json(compared.as_json()), output)
         evaluations = compared.evaluations
     else:
-        result = evaluate(rooms_file, opened)
+        result = evaluate(rooms_file, opened, weights)
         emit(
             _summary(result) if as_text else as_json(result.as_json(statistics=statistics)), output
         )

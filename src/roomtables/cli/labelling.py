@@ -20,11 +20,13 @@ from roomtables.cli.common import (
     output_option,
     render,
     tables_option,
+    weights_option,
 )
 from roomtables.cli.scenes import Warnings, house_labels, labelspace_option, mapping_option
 from roomtables.cli.synonyms import Synonyms
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
+from roomtables.online.weighing import classify_rooms
 from roomtables.rooms import Room
 from roomtables.scenes import read_rooms
 
@@ -40,9 +42,11 @@ _COLUMNS = (
 @labelspace_option
 @mapping_option
 @click.option("--top", type=click.IntRange(min=1), help="Show the N most probable rooms.")
+@click.option("--explain", is_flag=True, help="Show what each object says for and against.")
 @tables_option
 @labels_option
 @decision_options
+@weights_option
 @format_option()
 @output_option
 def classify(
@@ -51,6 +55,8 @@ def classify(
     labelspace: Path | None,
     category_mapping: Path | None,
     top: int | None,
+    explain: bool,
+    weights: str | None,
     tables: Path,
     labels: str,
     format_: str,
@@ -62,6 +68,7 @@ def classify(
     \b
     Example:
       roomtables classify toilet sink towel
+      roomtables classify tv sofa table --rule pooled --explain
       roomtables classify --input rooms.jsonl --format jsonl --offline
     """
     if bool(objects) == bool(input_):
@@ -79,11 +86,11 @@ def classify(
             warn=Warnings(),
         )
         rooms = synonyms.watch(found)
-    results = _classified(rooms, opened)
+    results = _classified(rooms, opened, weights)
     if format_ == "jsonl":
-        emit_lines((as_json_line(_record(*result, top)) for result in results), output)
+        emit_lines((as_json_line(_record(*result, top, explain)) for result in results), output)
         return
-    records = [_record(*result, top) for result in results]
+    records = [_record(*result, top, explain) for result in results]
     if format_ == "json":
         emit(as_json(records), output)
         return
@@ -93,18 +100,40 @@ def classify(
         for record in records:
             best = record["probabilities"].items()
             record["top"] = [f"{room} {probability:.3f}" for room, probability in best]
-    emit(render(records, format_, columns), output)
+    if decision.get("min_probability"):
+        columns.insert(columns.index("room") + 1, "reason")
+    text = render(records, format_, columns)
+    if explain and format_ == "table":
+        text += "".join(_explanation(record) for record in records)
+    emit(text, output)
 
 
-def _classified(rooms: Iterable[Room], tables: RoomTables) -> Iterator[tuple[Room, Prediction]]:
+def _explanation(record: dict[str, Any]) -> str:
+    """What each object said, the strongest for the best room first."""
+    said = sorted(record["evidence"], key=lambda row: -row["difference_nats"])
+    if not said:
+        return ""
+    versus = f" rather than {said[0]['runner_up']}" if said[0]["runner_up"] else ""
+    where = f"{record['room_id']}: " if record["room_id"] else ""
+    columns = (
+        "object", "counted", "weight", "room_nats", "runner_up_nats", "difference_nats",
+    )  # fmt: skip
+    return f"\n{where}why {said[0]['room']}{versus}, in nats\n{render(said, 'table', columns)}"
+
+
+def _classified(
+    rooms: Iterable[Room], tables: RoomTables, weights: str | None
+) -> Iterator[tuple[Room, Prediction]]:
     rooms = iter(rooms)
     while chunk := list(islice(rooms, _CHUNK)):
-        predictions = tables.classify_many([room.objects for room in chunk])
+        predictions = classify_rooms(tables, chunk, weights)
         yield from zip(chunk, predictions, strict=True)
 
 
-def _record(room: Room, prediction: Prediction, top: int | None) -> dict[str, Any]:
+def _record(room: Room, prediction: Prediction, top: int | None, explain: bool) -> dict[str, Any]:
     record = prediction.as_json(room.room_id or None)
     if top:
         record["probabilities"] = dict(prediction.top(top))
+    if explain:
+        record["evidence"] = [said.as_json() for said in prediction.evidence]
     return record

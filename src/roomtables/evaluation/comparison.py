@@ -88,6 +88,7 @@ def compare(
     rooms: Iterable[Room] | str | Path,
     tables: RoomTables,
     conditions: Sequence[tuple[str, str]],
+    weights: str | None = None,
 ) -> Comparison:
     """Evaluate each (rule, source) on the same rooms.
 
@@ -100,5 +101,5 @@ def compare(
     """
     held = list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
     return Comparison(
-        tuple(evaluate(held, tables.deciding(rule=r, source=s)) for r, s in conditions)
+        tuple(evaluate(held, tables.deciding(rule=r, source=s), weights) for r, s in conditions)
     )

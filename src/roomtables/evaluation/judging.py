@@ -16,6 +16,7 @@ from roomtables.evaluation import statistics
 from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
+from roomtables.online.weighing import classify_rooms
 from roomtables.rooms import Room, read_room_lines
 
 NO_TRUTH = "no true label"
@@ -153,8 +154,13 @@ class Evaluation:
         }
 
 
-def evaluate(rooms: Iterable[Room] | str | Path, tables: RoomTables) -> Evaluation:
+def evaluate(
+    rooms: Iterable[Room] | str | Path, tables: RoomTables, weights: str | None = None
+) -> Evaluation:
     """Label rooms and compare with their true labels.
+
+    ``weights`` (``counts`` or ``confidences``) is as for
+    :func:`~roomtables.online.weighing.classify_rooms`.
 
     Left out and counted: rooms without a true label, without objects, and those none of whose true
     labels is a candidate.
@@ -178,7 +184,7 @@ def evaluate(rooms: Iterable[Room] | str | Path, tables: RoomTables) -> Evaluati
     if not kept:
         reasons = ", ".join(f"{why}: {n}" for why, n in skipped.items()) or "the list is empty"
         raise InputError(f"no room to evaluate ({reasons}); check `room` and `--labels`")
-    predictions = tables.classify_many([room.objects for room, _ in kept])
+    predictions = classify_rooms(tables, [room for room, _ in kept], weights)
     judged = tuple(
         Judged(room, truth, prediction)
         for (room, truth), prediction in zip(kept, predictions, strict=True)

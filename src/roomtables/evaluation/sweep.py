@@ -14,6 +14,7 @@ from typing import Any
 from roomtables.evaluation.judging import Evaluation, evaluate
 from roomtables.evaluation.reduction import with_other_reduction
 from roomtables.online.classifier import RoomTables
+from roomtables.online.model import QueryModel
 from roomtables.rooms import Room, read_room_lines
 from roomtables.schemas import CALIBRATED, POOLED, PROXY, QUERY
 
@@ -56,6 +57,8 @@ def sweep(rooms: Iterable[Room] | str | Path, tables: RoomTables) -> Sweep:
         A file of room lines is malformed, or no room is left to evaluate.
     """
     held = list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
+    model = QueryModel(tables.version.manifest, allowed=False)  # nor are its misses noted
+    tables = RoomTables(tables.version, tables.twin, model, tables.decision)
     swept = _Sweeping(held, tables)
     points: list[SweepPoint] = []
     notes: list[str] = []

@@ -81,7 +81,8 @@ class RoomTables:
         verify : read and hash every byte of the lookup files first
         note_misses : append to ``misses/`` each combination that no table holds
         decision : ``rule``, ``source``, ``prior_weight`` (λ), ``evidence_power`` (γ), ``rooms``
-            (candidates); what is absent is as the build's settings say
+            (candidates), ``temperature``, ``min_probability``; what is absent is as the build's
+            settings say
 
         Raises
         ------
@@ -129,10 +130,12 @@ class RoomTables:
             if compared is not None:
                 # Rooms are sorted and argmax takes the first: a tie goes to the first label.
                 room = self._decider.room_names[compared.argmax()]
-                return Prediction(self._decider, room, TABLE, known, unknown, compared)
+                found = Prediction(self._decider, room, TABLE, known, unknown, compared)
+                return found.unless_unsure() if self.decision.min_probability else found
             if not known:
                 return Prediction(self._decider, None, NONE, known, unknown)
-        return self._open.answer([Question(known, unlisted)])[0]
+        answer = self._open.answer([Question(known, unlisted)])[0]
+        return answer.unless_unsure() if self.decision.min_probability else answer
 
     def classify_many(self, rooms: Iterable[Iterable[str]]) -> Predictions:
         """Label rooms; whatever no table holds is scored in one batched pass of the model.
@@ -169,6 +172,9 @@ class RoomTables:
         labels = [room_names[place] for place in best.tolist()]  # −1, unanswered, is the last
         for at, prediction in answers.items():
             labels[at] = prediction.room
+        if self.decision.min_probability:
+            sure = [predict(at).unless_unsure() for at in range(len(labels))]
+            return Predictions([prediction.room for prediction in sure], sure.__getitem__)
         return Predictions(labels, predict)
 
     def _best(

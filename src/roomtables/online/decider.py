@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +20,21 @@ from roomtables.online.score_rows import ABSENT, ScoreRows
 from roomtables.schemas import CALIBRATED, ENTROPY_DECIMALS, POOLED, PROXY, RULES
 from roomtables.twin import Twin
 
+AUTO: Literal["auto"] = "auto"
+
 
 @dataclass(frozen=True)
 class Decision:
     """How to decide: the rule, whose co-occurrence, λ, γ, and the candidate rooms (all: none).
 
+    ``temperature`` divides what the rule compares before it becomes probabilities; ``auto`` is the
+    sum of the objects' weights under rule ``pooled``, 1 under others. A room whose answer is less
+    probable than ``min_probability`` gets none.
+
     Raises
     ------
     ConfigError
-        There is no such rule, or λ or γ make no sense.
+        There is no such rule, or a number makes no sense.
     """
 
     rule: str
@@ -35,11 +42,17 @@ class Decision:
     prior_weight: float
     evidence_power: float
     rooms: tuple[str, ...] = ()
+    temperature: float | Literal["auto"] = 1.0
+    min_probability: float = 0.0
 
     def __post_init__(self) -> None:
         if self.rule not in RULES:
             raise ConfigError(f"no rule {self.rule!r}; use one of {', '.join(RULES)}")
         check_decision(self.prior_weight, self.evidence_power)
+        if self.temperature != AUTO and not 0 < self.temperature < float("inf"):
+            raise ConfigError(f"temperature must be above 0 or `auto`, not {self.temperature}")
+        if not 0 <= self.min_probability <= 1:
+            raise ConfigError(f"min probability must be from 0 to 1, not {self.min_probability}")
         object.__setattr__(self, "rooms", tuple(self.rooms))
 
 
@@ -53,12 +66,14 @@ class KnownObject:
     order : entropy (rounded) and label: what objects are ranked by
     rank : its rank in the tables, from 1; ``None`` for one that only the model knows
     evidence : ``[candidates]``, what it adds to each room under rule ``pooled``
+    weight : w(o), the factor in it
     """
 
     label: ObjectLabel
     order: tuple[float, str]
     rank: int | None
     evidence: NDArray[np.float64]
+    weight: float
 
 
 class TableDecider:
@@ -99,13 +114,21 @@ class TableDecider:
     @cached_property
     def evidence(self) -> NDArray[np.float64]:
         """What each object adds to each room under rule ``pooled``, ``[1 + rank, candidates]``."""
-        found = self.candidates
-        by_number = rules.pooled_evidence(
-            found.object_room, found.bias, self.prior_weight, self.decision.evidence_power
-        )
-        evidence = np.zeros((1 + len(by_number), len(found.names)))
+        by_number = rules.weighed(self._adjusted, self._weights)
+        evidence = np.zeros((1 + len(by_number), len(self.candidates.names)))
         evidence[self.arrays.ranks] = by_number
         return evidence
+
+    @cached_property
+    def _adjusted(self) -> NDArray[np.float64]:
+        """L′, ``[objects, candidates]``."""
+        found = self.candidates
+        return rules.adjusted(found.object_room, found.bias, self.prior_weight)
+
+    @cached_property
+    def _weights(self) -> NDArray[np.float64]:
+        """w(o), ``[objects]``."""
+        return rules.evidence_weights(self._adjusted, self.decision.evidence_power)
 
     def ranks(self) -> dict[str, int]:
         """Object label → rank."""
@@ -117,7 +140,8 @@ class TableDecider:
         number = self._by_rank[rank - 1]
         label = self.twin.objects[number]
         entropy = round(float(self.arrays.entropy[number]), ENTROPY_DECIMALS)
-        return KnownObject(label, (entropy, label.label), rank, self.evidence[rank])
+        weight = float(self._weights[number])
+        return KnownObject(label, (entropy, label.label), rank, self.evidence[rank], weight)
 
     def holds(self, ranks: Sequence[int]) -> bool:
         """Whether the tables hold the combination of the ``k`` best of these ranks, ascending."""

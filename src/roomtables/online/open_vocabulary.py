@@ -79,13 +79,11 @@ class OpenVocabulary:
         for (name, label), row in zip(labels.items(), scores, strict=True):
             over_rooms = rules.log_softmax(row[: len(twin.rooms)])
             entropy = round(float(rules.entropy(over_rooms)), ENTROPY_DECIMALS)
-            evidence = rules.pooled_evidence(
-                row[columns],
-                candidates.bias,
-                self._decider.prior_weight,
-                self._decider.decision.evidence_power,
-            )
-            found[name] = KnownObject(label, (entropy, name), None, evidence)
+            power = self._decider.decision.evidence_power
+            adjusted = rules.adjusted(row[columns], candidates.bias, self._decider.prior_weight)
+            weight = rules.evidence_weights(adjusted, power)
+            evidence = rules.weighed(adjusted, weight)
+            found[name] = KnownObject(label, (entropy, name), None, evidence, float(weight))
         return found
 
     def _pool(self, question: Question) -> Prediction:

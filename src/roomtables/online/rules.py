@@ -39,16 +39,31 @@ def calibrated(scores: Array, bias: Array, prior_weight: float) -> Array:
     return scores - prior_weight * bias
 
 
+def adjusted(object_room: Array, bias: Array, prior_weight: float) -> Array:
+    """L′ = log softmax of (L − λ b): what each object says of each room, ``[objects, rooms]``."""
+    return log_softmax(log_softmax(object_room) - prior_weight * bias)
+
+
+def evidence_weights(adjusted_scores: Array, evidence_power: float) -> Array:
+    """w(o) = (log n − H′)^γ, ``[objects]``: an object that says nothing of the room weighs nothing.
+
+    H′ is the entropy of L′ in nats and n the number of rooms.
+    """
+    informativeness = np.log(adjusted_scores.shape[-1]) - entropy(adjusted_scores)
+    result: Array = np.power(np.maximum(informativeness, 0.0), evidence_power)
+    return result
+
+
+def weighed(adjusted_scores: Array, weights: Array) -> Array:
+    """w(o) L′(o, r), ``[objects, rooms]``; an object without weight adds nothing, not 0 × −inf."""
+    factors = weights[..., np.newaxis]
+    with np.errstate(invalid="ignore"):
+        return np.where(factors > 0, factors * adjusted_scores, 0.0)
+
+
 def pooled_evidence(
     object_room: Array, bias: Array, prior_weight: float, evidence_power: float
 ) -> Array:
-    """What each object adds to each room: w(o) L′(o, r), ``[objects, rooms]``.
-
-    L′ = log softmax of (L − λ b), and w = (log n − H′)^γ, where H′ is the entropy of L′ and n the
-    number of rooms: an object that says nothing of the room weighs nothing.
-    """
-    adjusted = log_softmax(log_softmax(object_room) - prior_weight * bias)
-    informativeness = np.maximum(np.log(adjusted.shape[-1]) - entropy(adjusted), 0.0)
-    weights = np.power(informativeness, evidence_power)[..., np.newaxis]
-    with np.errstate(invalid="ignore"):  # 0 × −inf: an object without weight adds nothing
-        return np.where(weights > 0, weights * adjusted, 0.0)
+    """What each object adds to each room under rule ``pooled``, ``[objects, rooms]``."""
+    scores = adjusted(object_room, bias, prior_weight)
+    return weighed(scores, evidence_weights(scores, evidence_power))

@@ -18,7 +18,7 @@ def _scene_room(room: Room) -> SceneRoom:
     objects = tuple(
         SceneObject(f"{room.room_id}/{index}", name) for index, name in enumerate(room.objects)
     )
-    return SceneRoom(room.room_id, objects, truth=room.truth)
+    return SceneRoom(room.room_id, objects, truth=room.truth, measures=room.measures)
 
 
 def room_lines_scene(lines: Iterable[str | bytes], source: str) -> Scene:

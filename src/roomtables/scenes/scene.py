@@ -7,7 +7,7 @@ a room list knows neither boxes nor positions.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -71,17 +71,22 @@ class SceneObject:
 
 @dataclass(frozen=True, slots=True)
 class SceneRoom:
-    """One room: its id and name in the scene, its objects, its true labels where known."""
+    """One room: its id and name in the scene, its objects, its true labels where known.
+
+    ``measures`` is as in :class:`~roomtables.rooms.Room`.
+    """
 
     room_id: str
     objects: tuple[SceneObject, ...]
     name: str = ""
     truth: tuple[str, ...] = ()
     box: Box | None = None
+    measures: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, hash=False)
 
     def as_room(self) -> Room:
         """The room as every other part of roomtables sees it."""
-        return Room(self.room_id, tuple(thing.name for thing in self.objects), self.truth)
+        names = tuple(thing.name for thing in self.objects)
+        return Room(self.room_id, names, self.truth, self.measures)
 
     def as_json(self) -> dict[str, Any]:
         """The room as an entry of nested JSON; ``room`` only where the truth is known."""
