@@ -89,6 +89,8 @@ def _in_order(folder: Path) -> list[Path]:
 
 
 def _sentence_scores(connection: Any, tables: Path) -> None:
+    from roomtables.parts import SCORES, all_parts, live_parts  # brings pyarrow
+
     from roomtables.parts import SCORES, all_parts, live_parts  # imports pyarrow
 
     folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
