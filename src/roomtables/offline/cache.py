@@ -153,7 +153,7 @@ class SentenceCache:
         """A cache of its own inside the folder, for workers whose parts are adopted later."""
         inner = SentenceCache.__new__(SentenceCache)
         inner.scorer_id = self.scorer_id
-        inner.folder = self.folder / f"{_RUN}{os.getpid()}"
+        inner.folder = self.folder.resolve() / f"{_RUN}{os.getpid()}"
         inner._generation = self._retiring()
         return inner
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from roomtables.offline.pairs import PairValues
 from roomtables.schemas import TABLE_BY_NAME
 
 _SHOWN_ROWS = 3
+# Of a large machine; half the memory of a small one. docs/scale.md has what it is enough for.
+_MEMORY_BYTES = 4 << 30
 
 
 def stage_sql(table: str) -> str:
@@ -29,9 +32,16 @@ def connect(workspace: Path) -> duckdb.DuckDBPyConnection:
     """A DuckDB database in a file of its own, so that big joins spill to disk."""
     connection = duckdb.connect(str(workspace / "work.duckdb"))
     connection.execute(f"set temp_directory = {quote(workspace / 'spill')}")
+    connection.execute(f"set memory_limit = '{_memory_limit() >> 20} MiB'")
     # Before anything is scored, no sentence has a score.
     connection.execute(f"create view sentence_scores as {NO_SCORES}")
     return connection
+
+
+def _memory_limit() -> int:
+    """Bytes that DuckDB may use before it spills to disk."""
+    physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return min(_MEMORY_BYTES, physical // 2)
 
 
 @contextmanager
