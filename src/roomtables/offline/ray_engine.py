@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import time
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -84,7 +86,8 @@ def score_on_ray(work: Work) -> Scored:
     if started_here:
         ray.init(log_to_driver=False, configure_logging=False)
     try:
-        return _run(work, run, shards)
+        with redirect_stdout(sys.stderr):  # Ray prints there when a worker dies
+            return _run(work, run, shards)
     except RayError as error:
         said = str(error).strip().splitlines()[0]
         raise ModelError(f"Ray failed: {said}; run `roomtables build` to go on") from error

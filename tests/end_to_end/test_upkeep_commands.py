@@ -1,0 +1,68 @@
+"""The nightly commands as a user types them."""
+
+import json
+import shutil
+
+import pytest
+
+from roomtables import build
+from support import HashScorer, small_space, write_space
+
+
+@pytest.fixture
+def space(tmp_path):
+    return str(write_space(tmp_path / "labels", small_space()))
+
+
+@pytest.fixture
+def tables(tmp_path, space):
+    for k in (1, 2, 3):
+        build(tables=tmp_path / "t", labels=space, scorer=HashScorer(), k=k)
+    return tmp_path / "t"
+
+
+def test_plan_of_the_embedded_model_writes_nothing(shell, tmp_path):
+    found = json.loads(shell("plan", "--tables", tmp_path / "t", "-k", 1, "--format", "json"))
+    states = {stage["state"] for stage in found["stages"]}
+    assert states == {"missing"}
+    assert found["sentences_to_score"] == sum(stage["sentences"] for stage in found["stages"])
+    assert "to score:" in shell("plan", "--tables", tmp_path / "t", "-k", 1)
+    assert not (tmp_path / "t").exists()
+
+
+def test_status_tells_old_from_new(shell, tables, space):
+    options = ("--tables", tables, "--labels", space)
+    shell("status", *options, "--max-age", "26h", "--verify")
+    assert "more than 0 h" in shell("status", *options, "--max-age", "0s", code=1)
+    shell("status", *options, "--max-age", "soon", code=2)
+    manifest = next(tables.glob("small/0*3-*/manifest.json"))
+    found = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps(found | {"created": "2999-01-01T00:00:00+00:00"}))
+    assert "in the future" in shell("status", *options, "--max-age", "26h", code=1)
+    (manifest.parent / "rooms.parquet").write_bytes(b"")
+    assert "rooms.parquet is damaged" in shell("status", *options, "--verify", code=1)
+
+
+def test_a_night_and_its_morning(shell, tables, space):
+    options = ("--tables", tables, "--labels", space)
+    merged = json.loads(shell("compact", "--tables", tables, "--format", "json"))
+    assert [(row["parts_before"], row["parts_after"]) for row in merged] == [(3, 1)]
+    found = json.loads(shell("diff", *options, "--format", "json"))
+    assert (found["before"][:6], found["after"][:6]) == ("000002", "000003")
+    assert found["objects"] == []
+    assert found["combinations"][0]["added"] == 4
+    assert "0 objects moved" in shell("diff", *options)
+    left = json.loads(shell("rollback", *options, "--format", "json"))
+    assert (left["version"][:6], left["left"][:6]) == ("000002", "000003")
+    assert "nothing came before" in shell("rollback", *options, code=1)
+    removed = json.loads(shell("gc", "--tables", tables, "--keep", 1, "--format", "json"))
+    assert removed == []  # the published one is not the newest, and both stay
+    assert shell("gc", "--tables", tables) == "nothing to remove\n"
+    assert "no version 'x'" in shell("diff", "x", *options, code=1)
+
+
+@pytest.mark.parametrize("command", ["gc", "compact", "rollback", "diff", "status"])
+def test_without_tables(shell, tables, command):
+    shutil.rmtree(tables)
+    assert "roomtables build" in shell(command, "--tables", tables, code=1)
+    assert not tables.exists()
