@@ -1,0 +1,26 @@
+"""The README shows what the demo really prints."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+_SPEC = importlib.util.spec_from_file_location("demo", Path(__file__).with_name("demo_output.py"))
+demo = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(demo)
+
+NUMBER = re.compile(r"\d+\.\d+")
+
+
+def test_the_demo_in_the_readme_is_what_it_prints():
+    shown, found = demo.in_readme(), demo.as_block(demo.demo_output())
+    # Another processor may round the last digits of a probability otherwise.
+    assert _words(shown) == _words(found)
+    numbers = [[float(number) for number in NUMBER.findall(text)] for text in (shown, found)]
+    assert numbers[0] == pytest.approx(numbers[1], rel=1e-2, abs=1e-3)
+
+
+def _words(text):
+    text = re.sub(r"-[0-9a-f]{8} ", " ", text)  # what a version is made of
+    return re.sub(r"[ -]+", " ", NUMBER.sub("#", text))
