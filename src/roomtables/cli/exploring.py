@@ -22,7 +22,6 @@ from roomtables.cli.common import (
 )
 from roomtables.errors import InputError, MissingExtraError
 from roomtables.locks import held
-from roomtables.parts import SCORES
 from roomtables.sql import connect, guide, select
 from roomtables.store import SpaceFolder, Version
 
@@ -54,6 +53,8 @@ def sql_command(
     if ui and (query or output):
         raise click.UsageError("--ui takes no QUERY and no -o")
     version = SpaceFolder(tables, Path(labels).name).current()
+    from roomtables.parts import SCORES  # imports pyarrow
+
     click.get_current_context().with_resource(held(version.path, *(tables / SCORES).glob("*")))
     if ui:
         _harlequin(tables, version)
