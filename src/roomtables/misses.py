@@ -18,6 +18,7 @@ import re
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import FileIO
@@ -159,8 +160,12 @@ class Misses:
 
 
 def folder_bytes(folder: Path) -> int:
-    """The size of all files of a folder."""
-    return sum(entry.stat().st_size for entry in os.scandir(folder) if entry.is_file())
+    """The size of all files of a folder, which others may write to and remove from meanwhile."""
+    total = 0
+    for path in folder.iterdir():
+        with suppress(FileNotFoundError):
+            total += path.stat().st_size
+    return total
 
 
 def _new_lines(path: Path, start: int) -> tuple[list[bytes], int]:

@@ -91,8 +91,6 @@ def _in_order(folder: Path) -> list[Path]:
 def _sentence_scores(connection: Any, tables: Path) -> None:
     from roomtables.parts import SCORES, all_parts, live_parts  # brings pyarrow
 
-    from roomtables.parts import SCORES, all_parts, live_parts  # imports pyarrow
-
     folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
     table = TABLE_BY_NAME["sentence_scores"]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import random
-import resource
 import sqlite3
 import subprocess
 import sys
@@ -29,10 +28,12 @@ from roomtables.twin import pack_keys
 
 LABELS = "nyuclass"
 BATCH = 100_000
+# The peak of this process alone: ru_maxrss would take over that of the process it was forked from.
 START = """
-import resource, sys, time
+import sys
 {body}
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+peak, = (line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(int(peak.split()[1]) / 1024)
 """
 FIRST_ANSWER = """
 from roomtables import RoomTables
@@ -67,7 +68,7 @@ def peers(
     database.register("batch", batch)
     database.execute("insert into t select * from batch")
     database.unregister("batch")
-    database.execute("prepare fetch as select * from t where key = ?")
+    database.execute("prepare by_key as select * from t where key = ?")
 
     light = sqlite3.connect(folder / "lookup.sqlite")
     light.execute("create table t (key integer primary key, scores blob) without rowid")
@@ -82,7 +83,7 @@ def peers(
 
     found = {
         "DuckDB, prepared": (
-            lambda key: database.execute(f"execute fetch({key})").fetchone(),
+            lambda key: database.execute(f"execute by_key({key})").fetchone(),
             duckdb_batch,
         ),
         "SQLite": (
@@ -164,11 +165,22 @@ def main() -> None:
         root = options.tables or Path(folder) / "tables"
         if not (root / LABELS / "CURRENT").exists():
             print("twin from query_scores:", made_tables.make(root, LABELS))
+        run_start(root)
         run(root, Path(folder), options.rooms)
 
 
+def run_start(root: Path) -> None:
+    """Print how long and how large a process is up to its first answer."""
+    lookup, tensors = start(FIRST_ANSWER, root), start(TENSORS, root)
+    print(f"start to first answer: {lookup[0] * 1000:.0f} ms, {lookup[1]:.0f} MB")
+    print(
+        f"start to torch and transformers imported: {tensors[0] * 1000:.0f} ms, {tensors[1]:.0f} MB"
+    )
+    print(f"ratio: {tensors[0] / lookup[0]:.1f}x faster, {tensors[1] / lookup[1]:.1f}x less memory")
+
+
 def run(root: Path, folder: Path, count: int) -> None:
-    """Print one room, many rooms, and start-up."""
+    """Print one room, and many rooms."""
     tables = RoomTables.open(root, LABELS, offline=True)
     rooms = questions(tables, BATCH)
     keys = keys_of(tables, rooms)
@@ -187,14 +199,6 @@ def run(root: Path, folder: Path, count: int) -> None:
         rows.append([name, single[name], reference / single[name], *rates])
     heads = ["", "p50 us/room", "x DuckDB", "batch rooms/s", "per cpu second"]
     print(tabulate(rows, heads, floatfmt=(None, ".2f", ".1f", ",.0f", ",.0f")))
-    lookup, tensors = start(FIRST_ANSWER, root), start(TENSORS, root)
-    print(f"start to first answer: {lookup[0] * 1000:.0f} ms, {lookup[1]:.0f} MB")
-    print(
-        f"start to torch and transformers imported: {tensors[0] * 1000:.0f} ms, {tensors[1]:.0f} MB"
-    )
-    print(f"ratio: {tensors[0] / lookup[0]:.1f}x faster, {tensors[1] / lookup[1]:.1f}x less memory")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"(this process, peers included: {peak:,.0f} MB)")
 
 
 if __name__ == "__main__":
