@@ -54,8 +54,8 @@ def test_noise_cannot_make_the_query_frame() -> None:
 
 def test_the_words_of_the_query_frame_occur_elsewhere(sample: list[str]) -> None:
     text = "\n".join(sample)
-    for words in (" containing ", "is called the ", "is called a ", "A room "):
-        assert text.count(words) > 10, words
+    for words in (" containing ", "is called ", "A room "):
+        assert text.count(words) >= 5, words
 
 
 def test_the_same_seed_writes_the_same_text(facts: Facts) -> None:
