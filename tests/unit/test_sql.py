@@ -136,7 +136,8 @@ def test_a_prompt_survives_errors(folder, monkeypatch):
     monkeypatch.setattr("builtins.input", read)
     shown = []
     monkeypatch.setattr(exploring.click, "echo", lambda text="", **_: shown.append(str(text)))
-    exploring.sql_command.callback(None, folder, "flat", False, "table", None)
+    with exploring.click.Context(exploring.sql_command):
+        exploring.sql_command.callback(None, folder, "flat", False, "table", None)
     assert any(text.startswith("error: SQL") for text in shown)
     assert any("42" in text for text in shown)
     assert asked == ["roomtables> ", "roomtables> ", "       ...> ", "roomtables> "]

@@ -52,6 +52,8 @@ def sql_command(
     """
     if ui and (query or output):
         raise click.UsageError("--ui takes no QUERY and no -o")
+    from roomtables.parts import SCORES  # brings pyarrow
+
     version = SpaceFolder(tables, Path(labels).name).current()
     from roomtables.parts import SCORES  # imports pyarrow
 

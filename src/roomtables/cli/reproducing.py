@@ -63,8 +63,6 @@ def paper_command(
     Example:
       roomtables paper rooms.jsonl --counts counts.csv --model EleutherAI/gpt-j-6b --dtype float16
     """
-    from roomtables.offline.builder import build
-
     for name, given in {"labels": labels, "counts": counts, "scores": scores}.items():
         if given and len(given) != len(rooms):
             raise click.UsageError(f"--{name}: give it once per ROOMS, {len(rooms)} times")
