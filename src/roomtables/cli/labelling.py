@@ -95,17 +95,21 @@ def classify(
         emit(as_json(records), output)
         return
     columns = [name for name in _COLUMNS if input_ or name != "room_id"]
-    if top:
-        columns.insert(columns.index("objects"), "top")
-        for record in records:
-            best = record["probabilities"].items()
-            record["top"] = [f"{room} {probability:.3f}" for room, probability in best]
     if decision.get("min_probability"):
         columns.insert(columns.index("room") + 1, "reason")
-    text = render(records, format_, columns)
+    text = render(records, format_, _with_top(records, columns) if top else columns)
     if explain and format_ == "table":
         text += "".join(_explanation(record) for record in records)
     emit(text, output)
+
+
+def _with_top(records: list[dict[str, Any]], columns: list[str]) -> list[str]:
+    """The columns with one of the most probable rooms, which the records are given."""
+    for record in records:
+        best = record["probabilities"].items()
+        record["top"] = [f"{room} {probability:.3f}" for room, probability in best]
+    at = columns.index("objects")
+    return [*columns[:at], "top", *columns[at:]]
 
 
 def _explanation(record: dict[str, Any]) -> str:
