@@ -67,6 +67,7 @@ def paper_command(
         if given and len(given) != len(rooms):
             raise click.UsageError(f"--{name}: give it once per ROOMS, {len(rooms)} times")
     check_plots(plot)
+    from roomtables.offline.builder import build  # imports pyarrow and duckdb
 
     columns = []
     for at, file in enumerate(rooms):
