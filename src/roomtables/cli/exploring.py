@@ -55,7 +55,6 @@ def sql_command(
     from roomtables.parts import SCORES  # brings pyarrow
 
     version = SpaceFolder(tables, Path(labels).name).current()
-    from roomtables.parts import SCORES  # imports pyarrow
 
     click.get_current_context().with_resource(held(version.path, *(tables / SCORES).glob("*")))
     if ui:
