@@ -1,0 +1,51 @@
+"""The queries of docs/sql.md and their output; run as a script, it writes the output in."""
+
+from __future__ import annotations
+
+import re
+import sys
+import tempfile
+from pathlib import Path
+
+from roomtables import build
+from roomtables.cli.common import render
+from roomtables.sql import connect, select
+from roomtables.store import SpaceFolder
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "sql.md"
+_QUERY = re.compile(r"```sql\n(.*?)\n```\n(?:\n```text\n(.*?)```\n)?", re.DOTALL)
+
+
+def queries(page: str) -> list[tuple[str, str]]:
+    """Each query of the page, and the output that it shows."""
+    return [(query, output or "") for query, output in _QUERY.findall(page)]
+
+
+def answers(asked: list[str]) -> list[str]:
+    """What the queries print, on tables of the embedded model."""
+    with tempfile.TemporaryDirectory() as folder:
+        example = ROOT / "src" / "roomtables" / "examples" / "house.jsonl"
+        build(tables=folder, combinations=str(example))
+        connection = connect(Path(folder), SpaceFolder(Path(folder), "mpcat40").current())
+        try:
+            return [_printed(*select(connection, query)) for query in asked]
+        finally:
+            connection.close()
+
+
+def _printed(columns: list[str], rows: list[tuple[object, ...]]) -> str:
+    records = [dict(zip(columns, row, strict=True)) for row in rows]
+    return re.sub(r" +$", "", render(records, "table", columns), flags=re.MULTILINE)
+
+
+def main() -> int:
+    page = PAGE.read_text(encoding="utf-8")
+    found = iter(answers([query for query, _ in queries(page)]))
+    page = _QUERY.sub(lambda m: f"```sql\n{m[1]}\n```\n\n```text\n{next(found)}```\n", page)
+    PAGE.write_text(page, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
