@@ -52,5 +52,8 @@ class Scorer(Protocol):
         ...
 
     def score_stream(self, sentences: Iterable[str]) -> Iterator[SentenceScore]:
-        """The same, lazily and in bounded memory: one score per sentence, in order."""
+        """The same, lazily and in bounded memory: one score per sentence, in order.
+
+        Sentences that come with a length let the scorer estimate the time left.
+        """
         ...

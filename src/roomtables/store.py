@@ -55,6 +55,19 @@ def file_facts(path: Path) -> dict[str, Any]:
     return {"bytes": path.stat().st_size, "sha256": digest}
 
 
+class _Manifest(dict[str, Any]):
+    """What a manifest holds; a key that it lacks is damage, and said to be."""
+
+    def __init__(self, content: Mapping[str, Any], path: Path) -> None:
+        super().__init__(content)
+        self._path = path
+
+    def __missing__(self, key: str) -> Any:
+        raise StoreError(
+            f"{self._path} is damaged: it lacks {key!r}; run `roomtables build --full-refresh`"
+        )
+
+
 @dataclass(frozen=True)
 class Version:
     """One published version: its folder and its manifest."""
@@ -111,7 +124,7 @@ class Version:
                 f"{path} has schema version {schema_version}, this roomtables reads "
                 f"{SCHEMA_VERSION}; run `roomtables build`"
             )
-        return cls(path, manifest)
+        return cls(path, _Manifest(manifest, manifest_path))
 
 
 class SpaceFolder:

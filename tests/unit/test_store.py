@@ -85,6 +85,12 @@ def test_a_manifest_that_cannot_be_read(tmp_path, text, said):
         Version.open(version.path)
 
 
+def test_a_manifest_that_lacks_a_key(tmp_path):
+    publish(SpaceFolder(tmp_path, "home"))
+    with pytest.raises(StoreError, match=r"lacks 'decision'.*--full-refresh"):
+        SpaceFolder(tmp_path, "home").current().manifest["decision"]
+
+
 def test_one_build_at_a_time(tmp_path):
     again = "import sys, pathlib; from roomtables.locks import build_lock\n"
     again += "with build_lock(pathlib.Path(sys.argv[1])): print('in')"

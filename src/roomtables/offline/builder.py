@@ -66,7 +66,7 @@ def build(
     config : the settings; by default the package's ``build.toml``
     tables : the tables folder
     scorer : the language model; by default ``config.model``, loaded when something is to score
-    progress : show progress bars on stderr
+    progress : show a progress bar on stderr (a scorer that is handed in shows its own, if any)
     wait : where another process builds in this folder, wait for it instead of refusing
     options : settings by name (``labels="nyuclass"``, ``k=2``) that replace those of ``config``
 

@@ -26,8 +26,8 @@ class LazyScorer:
             self._scorer_id = identify(self._config.model, **self._settings())
         return self._scorer_id
 
-    def load(self) -> Scorer:
-        """The scorer itself.
+    def load(self, progress: bool = False) -> Scorer:
+        """The scorer itself; with ``progress`` one loaded here shows its own progress bar.
 
         Raises
         ------
@@ -37,8 +37,12 @@ class LazyScorer:
         if self._scorer is None:
             from roomtables.lm import load_scorer
 
-            budget = self._config.token_budget
-            self._scorer = load_scorer(self._config.model, token_budget=budget, **self._settings())
+            self._scorer = load_scorer(
+                self._config.model,
+                token_budget=self._config.token_budget,
+                progress=progress,
+                **self._settings(),
+            )
         return self._scorer
 
     def describe(self) -> Mapping[str, str]:

@@ -65,7 +65,7 @@ class ShardWriter:
 
     def _score(self, shard: str) -> dict[str, int]:
         sentences = pq.read_table(shard).column("sentence").to_pylist()
-        found = list(scored(self.scorer, iter(sentences)))
+        found = list(scored(self.scorer, iter(sentences), len(sentences)))
         scores = [score for _, score in found]
         self.cache.append([sentence for sentence, _ in found], scores)
         return {"sentences": len(scores), "tokens": sum(score.token_count for score in scores)}

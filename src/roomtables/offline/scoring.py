@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import duckdb
-from tqdm import tqdm
 
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
@@ -83,30 +82,25 @@ def score_locally(work: Work) -> Scored:
     ModelError
         The scorer's identity is not the cache's, or a score is not finite; nothing bad is kept.
     """
-    scorer = work.model.load()
+    scorer = work.model.load(work.progress)
     check_identity(scorer, work.cache)
     done = Scored()
     kept: list[str] = []
     scores: list[SentenceScore] = []
     started = part_started = time.monotonic()
-    bar = tqdm(
-        total=work.total, unit="sentence", desc="scoring", disable=not work.progress, leave=False
-    )
-    with bar:
-        try:
-            for sentence, score in scored(scorer, work.sentences()):
-                kept.append(sentence)
-                scores.append(score)
-                done.tokens += score.token_count
-                bar.update()
-                if len(kept) >= PART_SENTENCES or time.monotonic() - part_started > PART_SECONDS:
-                    work.cache.append(kept, scores)
-                    done.sentences += len(kept)
-                    kept, scores, part_started = [], [], time.monotonic()
-        finally:  # an interrupted build keeps what it has
-            if kept:
+    try:
+        for sentence, score in scored(scorer, work.sentences(), work.total):
+            kept.append(sentence)
+            scores.append(score)
+            done.tokens += score.token_count
+            if len(kept) >= PART_SENTENCES or time.monotonic() - part_started > PART_SECONDS:
                 work.cache.append(kept, scores)
                 done.sentences += len(kept)
+                kept, scores, part_started = [], [], time.monotonic()
+    finally:  # an interrupted build keeps what it has
+        if kept:
+            work.cache.append(kept, scores)
+            done.sentences += len(kept)
     done.seconds = time.monotonic() - started
     return done
 
@@ -125,23 +119,37 @@ def check_identity(scorer: Scorer, cache: SentenceCache) -> None:
         )
 
 
-def scored(scorer: Scorer, sentences: Iterator[str]) -> Iterator[tuple[str, SentenceScore]]:
-    """Each sentence with its score, though the scorer reads ahead of what it has answered.
+class _Watched:
+    """Sentences on their way to a scorer, which may read ahead of what it has answered."""
+
+    def __init__(self, sentences: Iterator[str], total: int) -> None:
+        self._sentences = sentences
+        self._total = total
+        self.waiting: deque[str] = deque()
+
+    def __len__(self) -> int:
+        """How many there are: what a scorer estimates the time left from."""
+        return self._total
+
+    def __iter__(self) -> Iterator[str]:
+        for sentence in self._sentences:
+            self.waiting.append(sentence)
+            yield sentence
+
+
+def scored(
+    scorer: Scorer, sentences: Iterator[str], total: int
+) -> Iterator[tuple[str, SentenceScore]]:
+    """Each of ``total`` sentences with its score.
 
     Raises
     ------
     ModelError
         A score is not finite.
     """
-    waiting: deque[str] = deque()
-
-    def watched() -> Iterator[str]:
-        for sentence in sentences:
-            waiting.append(sentence)
-            yield sentence
-
-    for score in scorer.score_stream(watched()):
-        sentence = waiting.popleft()
+    watched = _Watched(sentences, total)
+    for score in scorer.score_stream(watched):
+        sentence = watched.waiting.popleft()
         if not math.isfinite(score.log_prob):
             raise ModelError(
                 f"{scorer.scorer_id} gives {score.log_prob} for {sentence!r}; "
