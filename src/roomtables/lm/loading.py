@@ -17,6 +17,7 @@ from roomtables.lm.forward import Forward
 from roomtables.lm.identity import device_class, scorer_id, scoring_kind
 from roomtables.lm.kernels import accelerate
 from roomtables.lm.masked import MaskedBackend
+from roomtables.lm.threads import threads_for, using_threads
 from roomtables.lm.windows import SentenceScorer
 
 _log = logging.getLogger(__name__)
@@ -47,8 +48,11 @@ def load(
     tokenizer = _load_tokenizer(folder)
     network = _load_network(folder, kind, dtype, place)
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
+    parameters = sum(weight.numel() for weight in network.parameters())
+    threads = threads_for(parameters, place)
     try:
-        backend = _backend(network, tokenizer, folder, kind, budget)
+        with using_threads(threads):
+            backend = _backend(network, tokenizer, folder, kind, budget)
     except torch.cuda.OutOfMemoryError as error:
         raise _too_large(folder, dtype) from error
     _log.info("%s on %s: strategy %s", identity, place, backend.strategy)
@@ -63,11 +67,12 @@ def load(
             "scoring": kind,
             "strategy": backend.strategy,
             "fallbacks": "; ".join(backend.fallbacks),
-            "parameters": str(sum(weight.numel() for weight in network.parameters())),
+            "parameters": str(parameters),
             "torch": torch.__version__,
             "transformers": transformers.__version__,
         },
         token_budget=budget,
+        threads=threads,
         progress=progress,
     )
 

@@ -19,6 +19,7 @@ from roomtables.errors import ModelError
 from roomtables.lm.encoding import quoted
 from roomtables.lm.forward import FloatArray
 from roomtables.lm.progress import Meter
+from roomtables.lm.threads import using_threads
 from roomtables.scorer import SentenceScore
 
 _log = logging.getLogger(__name__)
@@ -62,10 +63,12 @@ class SentenceScorer:
         scorer_id: str,
         provenance: Mapping[str, str],
         token_budget: int,
+        threads: int,
         progress: bool = False,
     ) -> None:
         self.backend = backend
         self.token_budget = token_budget
+        self.threads = threads
         self.progress = progress
         self.window = min(_LARGEST_WINDOW, max(256, _SENTENCES_PER_TOKEN * token_budget))
         self._scorer_id = scorer_id
@@ -112,7 +115,8 @@ class SentenceScorer:
         encoded = self.backend.encode(unique)
         counts = [self.backend.token_count(item) for item in encoded]
         meter.begin(len(window), sum(counts))
-        log_probs = self._log_probs(encoded, meter)
+        with using_threads(self.threads):
+            log_probs = self._log_probs(encoded, meter)
         bad = np.flatnonzero(~np.isfinite(log_probs))
         if len(bad):
             raise ModelError(
