@@ -63,18 +63,26 @@ def load(
             "model": model,
             "revision": folder.commit or revision or "",
             "dtype": dtype,
-            "device": _device_name(place),
             "scoring": kind,
-            "strategy": backend.strategy,
-            "fallbacks": "; ".join(backend.fallbacks),
-            "parameters": str(parameters),
-            "torch": torch.__version__,
-            "transformers": transformers.__version__,
+            **_provenance(backend, place, parameters),
         },
         token_budget=budget,
         threads=threads,
         progress=progress,
     )
+
+
+def _provenance(
+    backend: CausalBackend | MaskedBackend, place: str, parameters: int
+) -> dict[str, str]:
+    return {
+        "device": _device_name(place),
+        "strategy": backend.strategy,
+        "fallbacks": "; ".join(backend.fallbacks),
+        "parameters": str(parameters),
+        "torch": torch.__version__,
+        "transformers": transformers.__version__,
+    }
 
 
 def _backend(
