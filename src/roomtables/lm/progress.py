@@ -14,7 +14,6 @@ class Meter:
     def __init__(self, total: int | None = None, enabled: bool = False) -> None:
         self.tokens_asked = 0
         self.tokens_run = 0
-        self._shown = 0.0
         self._finished = 0
         self._bar: Any = None
         if enabled:

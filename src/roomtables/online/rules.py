@@ -34,11 +34,6 @@ def room_bias(object_room: Array) -> Array:
     return result
 
 
-def calibrated(scores: Array, bias: Array, prior_weight: float) -> Array:
-    """Query scores less the share λ of the model's taste in rooms: score − λ b."""
-    return scores - prior_weight * bias
-
-
 def adjusted(object_room: Array, bias: Array, prior_weight: float) -> Array:
     """L′ = log softmax of (L − λ b): what each object says of each room, ``[objects, rooms]``."""
     return log_softmax(log_softmax(object_room) - prior_weight * bias)

@@ -14,19 +14,6 @@ from roomtables.store import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 SPACE = small_space()
-COUNTS = "object,room,count\nbed,bedroom,9\nsink,kitchen,2\nsink,bathroom,3\nstove,kitchen,4\n"
-
-
-@pytest.fixture
-def labels(tmp_path):
-    return str(write_space(tmp_path / "labels", SPACE))
-
-
-@pytest.fixture
-def counts(tmp_path):
-    path = tmp_path / "counts.csv"
-    path.write_text(COUNTS)
-    return path
 
 
 def states(found):
