@@ -26,9 +26,9 @@ import duckdb
 from roomtables import build
 from roomtables.labels import LabelSpace
 from roomtables.offline import scoring, upkeep
-from roomtables.offline.cache import SentenceCache
-from roomtables.store import SpaceFolder
-from roomtables.twin import Twin
+from roomtables.storage.lookup import Lookup
+from roomtables.storage.score_cache import SentenceCache
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, write_space
 
 SPACE = LabelSpace.named("home", [f"thing{n}" for n in range(10)], [f"place{n}" for n in range(5)])
@@ -66,8 +66,8 @@ def child(tables: Path, labels: str, action: str, k: int, scorer: str, seconds: 
 def digest(tables: Path) -> tuple[tuple[int, str], str]:
     """What the published version says it is, and a hash of what a lookup of it holds."""
     version = SpaceFolder(tables, SPACE.name).current()
-    twin = Twin.open(version.path / "lookup", version.manifest)
-    arrays = twin.sources["proxy"]
+    lookup = Lookup.open(version.path / "lookup", version.manifest)
+    arrays = lookup.sources["proxy"]
     content = hashlib.sha256()
     # Entropies are sums, and the order of their terms is DuckDB's: equal to a tolerance only.
     for array in (arrays.keys, arrays.scores, arrays.entropy.round(9), arrays.ranks):

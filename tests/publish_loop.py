@@ -17,11 +17,11 @@ import numpy as np
 from roomtables import RoomTables
 from roomtables.config import BuildConfig
 from roomtables.labels import LabelSpace
-from roomtables.locks import utc_now
 from roomtables.schemas import SCHEMA_VERSION
-from roomtables.store import LOOKUP, SpaceFolder
-from roomtables.twin import pack_keys
-from roomtables.twin_writer import ScoreChunks, write_twin
+from roomtables.storage.files import utc_now
+from roomtables.storage.lookup import pack_keys
+from roomtables.storage.lookup_writer import ScoreChunks, write_lookup
+from roomtables.storage.versions import LOOKUP, SpaceFolder
 
 OBJECTS = ("bed", "lamp", "sink")
 ROOMS = ("bathroom", "bedroom", "kitchen", "office", "yard")
@@ -43,12 +43,12 @@ def publish(tables: Path, generation: int) -> None:
     )
     scores = np.full((len(keys), len(ROOMS)), -50, np.float32)
     scores[:, room] = -10
-    object_room = np.full((len(OBJECTS), len(ROOMS)), -50.0)
-    object_room[:, room] = -10
+    room_logits = np.full((len(OBJECTS), len(ROOMS)), -50.0)
+    room_logits[:, room] = -10
     arrays = {
         "entropy": np.array([0.1, 0.2, 0.3]),
         "ranks": np.array([1, 2, 3]),
-        "object_room": object_room,
+        "room_logits": room_logits,
         "bias": np.full(len(ROOMS), float(generation)),
     }
     config = BuildConfig()
@@ -68,7 +68,7 @@ def publish(tables: Path, generation: int) -> None:
     }
     with folder.staging() as staging:
         source = (arrays, ScoreChunks(len(keys), len(ROOMS), [(keys, scores)]))
-        manifest |= write_twin(staging / LOOKUP, space, settings, {"proxy": source})
+        manifest |= write_lookup(staging / LOOKUP, space, settings, {"proxy": source})
         folder.publish(staging, folder.new_name("generate"), manifest)
     folder.remove_old()
 
@@ -87,7 +87,7 @@ def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:
             }
             found |= set(opened.classify_many([["bed"], ["sink"], ["bed", "lamp", "sink"]]).rooms)
             seen.add(generation)
-            bias = opened.twin.sources["proxy"].bias
+            bias = opened.lookup.sources["proxy"].bias
             if found != {expected} or set(bias.tolist()) != {float(generation)}:
                 wrong.append(f"generation {generation}: {found}, bias {bias}")
         except Exception as error:

@@ -17,7 +17,7 @@ import psutil
 
 from faults import SPACE, SlowScorer, check_folder, rows
 from roomtables import build
-from roomtables.store import SpaceFolder
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, write_space
 
 SECONDS = 0.02  # per sentence

@@ -24,7 +24,7 @@ import numpy as np
 from tabulate import tabulate
 
 from roomtables import RoomTables
-from roomtables.twin import pack_keys
+from roomtables.storage.lookup import pack_keys
 
 LABELS = "nyuclass"
 BATCH = 100_000
@@ -57,7 +57,7 @@ def peers(
     tables: RoomTables, folder: Path
 ) -> dict[str, tuple[Callable[[object], object], Callable[[np.ndarray], object] | None]]:
     """Name → fetch the scores of one key, and of an array of keys."""
-    arrays = tables.twin.sources["proxy"]
+    arrays = tables.lookup.sources["proxy"]
     keys, scores = np.asarray(arrays.keys), np.asarray(arrays.scores)
     database = duckdb.connect(str(folder / "lookup.duckdb"))
     columns = ", ".join(f"r{n} float" for n in range(scores.shape[1]))
@@ -134,7 +134,7 @@ def starts(bodies: Sequence[str], tables: Path) -> list[tuple[float, float]]:
 def questions(tables: RoomTables, count: int) -> list[list[str]]:
     """Rooms of 4 to 12 objects."""
     rng = random.Random(0)
-    names = [o.label for o in tables.twin.objects]
+    names = [o.label for o in tables.lookup.objects]
     return [rng.sample(names, rng.randint(4, 12)) for _ in range(count)]
 
 
@@ -142,13 +142,13 @@ def keys_of(tables: RoomTables, rooms: list[list[str]]) -> np.ndarray:
     """The keys that the rooms' best objects have, for the peers."""
     ranks = dict(
         zip(
-            (o.label for o in tables.twin.objects),
-            tables.twin.sources["proxy"].ranks.tolist(),
+            (o.label for o in tables.lookup.objects),
+            tables.lookup.sources["proxy"].ranks.tolist(),
             strict=True,
         )
     )
-    best = [sorted(ranks[name] for name in room)[: tables.twin.k] for room in rooms]
-    return pack_keys(np.array(best), tables.twin.k)
+    best = [sorted(ranks[name] for name in room)[: tables.lookup.k] for room in rooms]
+    return pack_keys(np.array(best), tables.lookup.k)
 
 
 def batch_rate(classify: Callable[[], object], count: int) -> tuple[float, float]:
@@ -170,7 +170,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         root = options.tables or Path(folder) / "tables"
         if not (root / LABELS / "CURRENT").exists():
-            print("twin from query_scores:", made_tables.make(root, LABELS))
+            print("lookup from query_scores:", made_tables.make(root, LABELS))
         run_start(root)
         run(root, Path(folder), options.rooms)
 
@@ -190,7 +190,7 @@ def run(root: Path, folder: Path, count: int) -> None:
     tables = RoomTables.open(root, LABELS, offline=True)
     rooms = questions(tables, BATCH)
     keys = keys_of(tables, rooms)
-    print(f"{len(tables.twin.sources['proxy'].keys):,} combinations; rooms of 4 to 12 objects")
+    print(f"{len(tables.lookup.sources['proxy'].keys):,} combinations; rooms of 4 to 12 objects")
     rows: list[list[object]] = []
     others = peers(tables, folder)
     single = {name: p50_us(one, keys[:2000].tolist()) for name, (one, _) in others.items()}

@@ -1,7 +1,7 @@
 """Tables of a whole label space with made-up scores: as large as real ones, and made in a minute.
 
-``query_scores.parquet`` is written as a build writes it; the lookup twin is derived from it by the
-build's own code. Speed and memory do not depend on what the scores are.
+``query_scores.parquet`` is written as a build writes it; the mapped lookup is derived from it by
+the build's own code. Speed and memory do not depend on what the scores are.
 """
 
 from __future__ import annotations
@@ -17,25 +17,24 @@ import pyarrow.parquet as pq
 
 from roomtables.config import load_labels
 from roomtables.labels import LabelSpace
-from roomtables.locks import utc_now
 from roomtables.offline.combinations import all_combinations
-from roomtables.offline.twins import read_scores
 from roomtables.online import rules
 from roomtables.schemas import ENTROPY_DECIMALS, PROXY, SCHEMA_VERSION
 from roomtables.sentences import DEFAULT_TEMPLATE
-from roomtables.store import LOOKUP, SpaceFolder
-from roomtables.twin import pack_keys
-from roomtables.twin_writer import write_twin
+from roomtables.storage.files import utc_now
+from roomtables.storage.lookup import pack_keys
+from roomtables.storage.lookup_writer import read_scores, write_lookup
+from roomtables.storage.versions import LOOKUP, SpaceFolder
 
 K = 3
 _ROW_GROUP = 16384
 
 
 def make(tables: Path, labels: str = "nyuclass", seed: int = 0) -> dict[str, Any]:
-    """Publish made-up tables; returns rows, seconds and memory of deriving the twin."""
+    """Publish made-up tables; returns rows, seconds and memory of deriving the lookup."""
     space = load_labels(labels)
     rng = np.random.default_rng(seed)
-    object_room = rng.normal(-30, 3, (len(space.objects), len(space.rooms)))
+    room_logits = rng.normal(-30, 3, (len(space.objects), len(space.rooms)))
     folder = SpaceFolder(tables, space.name)
     with folder.staging() as staging:
         parquet = staging / "query_scores.parquet"
@@ -43,11 +42,11 @@ def make(tables: Path, labels: str = "nyuclass", seed: int = 0) -> dict[str, Any
         before, started = peak_mb(), time.perf_counter()
         settings = {"k": K, "template": DEFAULT_TEMPLATE, "reduction": "sum"}
         scores = read_scores(parquet, PROXY, len(space.predicted_rooms))
-        small = small_arrays(object_room, space)
-        twin = write_twin(staging / LOOKUP, space, settings, {PROXY: (small, scores)})
+        small = small_arrays(room_logits, space)
+        lookup = write_lookup(staging / LOOKUP, space, settings, {PROXY: (small, scores)})
         seconds = time.perf_counter() - started
         folder.publish(
-            staging, folder.new_name("madeupxx"), twin | settings | manifest(space, rows)
+            staging, folder.new_name("madeupxx"), lookup | settings | manifest(space, rows)
         )
     return {
         "rows": rows,
@@ -76,9 +75,9 @@ def write_query_scores(path: Path, space: LabelSpace, rng: np.random.Generator) 
     return len(keys)
 
 
-def small_arrays(object_room: np.ndarray, space: LabelSpace) -> dict[str, np.ndarray]:
-    """What a twin holds beside keys and scores, from S(o, r)."""
-    entropy = rules.entropy(rules.log_softmax(object_room))
+def small_arrays(room_logits: np.ndarray, space: LabelSpace) -> dict[str, np.ndarray]:
+    """What a lookup holds beside keys and scores, from S(o, r)."""
+    entropy = rules.entropy(rules.log_softmax(room_logits))
     ordered = sorted(
         range(len(entropy)),
         key=lambda n: (round(float(entropy[n]), ENTROPY_DECIMALS), space.objects[n].label),
@@ -86,8 +85,8 @@ def small_arrays(object_room: np.ndarray, space: LabelSpace) -> dict[str, np.nda
     ranks = np.empty(len(entropy), np.int32)
     ranks[ordered] = np.arange(1, len(entropy) + 1)
     predicted = [n for n, room in enumerate(space.rooms) if room.predicted]
-    bias = rules.room_bias(object_room[:, predicted])
-    return {"entropy": entropy, "ranks": ranks, "object_room": object_room, "bias": bias}
+    bias = rules.room_bias(room_logits[:, predicted])
+    return {"entropy": entropy, "ranks": ranks, "room_logits": room_logits, "bias": bias}
 
 
 def manifest(space: LabelSpace, rows: int) -> dict[str, Any]:

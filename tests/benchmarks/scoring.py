@@ -27,9 +27,8 @@ import transformers
 from roomtables.labels import LabelSpace
 from roomtables.lm import load_scorer
 from roomtables.lm.folders import EMBEDDED_FOLDER
-from roomtables.lm.sequences import sort_sequences
-from roomtables.lm.trie import build_trie
-from roomtables.lm.windows import SentenceScorer
+from roomtables.lm.scorer import SentenceScorer
+from roomtables.lm.trie import build_trie, sort_sequences
 from roomtables.sentences import Template
 
 ROOT = Path(__file__).parents[2]

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from roomtables import build
 from roomtables.cli.common import render
-from roomtables.sql import connect, select
-from roomtables.store import SpaceFolder
+from roomtables.storage.versions import SpaceFolder
+from roomtables.storage.views import connect, select
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "sql.md"

@@ -16,9 +16,9 @@ import pytest
 from faults import run_faults
 from roomtables import build
 from roomtables.errors import RoomtablesError, StoreError
-from roomtables.locks import build_lock
-from roomtables.offline.cache import SentenceCache
-from roomtables.store import SpaceFolder
+from roomtables.storage.files import build_lock
+from roomtables.storage.score_cache import SentenceCache
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 TESTS = Path(__file__).parents[1]
@@ -45,7 +45,7 @@ def start(code, *args):
 
 HOLD = """
     import pathlib, sys, time
-    from roomtables.locks import build_lock
+    from roomtables.storage.files import build_lock
     with build_lock(pathlib.Path(sys.argv[1])):
         print("ready", flush=True)
         time.sleep(float(sys.argv[2]))

@@ -11,9 +11,9 @@ from roomtables.config import BuildConfig
 from roomtables.csv_rows import read_csv
 from roomtables.errors import RoomtablesError
 from roomtables.labels import LabelSpace
-from roomtables.offline.pairs import read_counts, read_scores
+from roomtables.offline.inputs import read_counts, read_scores
 from roomtables.rooms import read_room_lines
-from roomtables.store import SpaceFolder, Version
+from roomtables.storage.versions import SpaceFolder, Version
 from support import small_space
 
 SPACE = small_space()

@@ -5,7 +5,7 @@ import pytest
 
 from roomtables import build
 from roomtables.schemas import TABLE_BY_NAME, TABLES, VERSION_TABLES, data_dictionary
-from roomtables.store import SpaceFolder
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 

@@ -8,7 +8,7 @@ from roomtables.cli.common import Group
 from roomtables.cli.evaluating import evaluate_command, report_command
 from roomtables.cli.exploring import sql_command
 from roomtables.cli.labelling import classify
-from roomtables.cli.reproducing import paper_command
+from roomtables.cli.paper import paper_command
 from roomtables.cli.robot import export_command, misses_command
 from roomtables.cli.scenes import label, rooms, show
 from roomtables.cli.serve import serve

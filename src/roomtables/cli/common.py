@@ -8,16 +8,21 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from roomtables import __version__
 from roomtables.errors import RoomtablesError
-from roomtables.rooms import MEASURES
+from roomtables.labels import normalise
+from roomtables.online.classifier import RoomTables
+from roomtables.online.prediction import Prediction
+from roomtables.rooms import MEASURES, Room
+from roomtables.scenes.dsg_labels import NamedRoom
 from roomtables.schemas import RULES, SOURCES
-from roomtables.store import write_aside
+from roomtables.storage.versions import write_aside
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -168,3 +173,78 @@ def _cell(value: Any, float_format: str) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(_cell(item, float_format) for item in value)
     return str(value)
+
+
+_MOST_NAMES = 65_536
+
+
+class Namer:
+    """Makes names of answers; an answer that was named before costs a dictionary lookup."""
+
+    def __init__(self, tables: RoomTables) -> None:
+        manifest = tables.version.manifest
+        self._shared = {
+            "model": manifest["query_scorer_id"] or manifest["scorer_id"],
+            "labels": manifest["labels"],
+            "version": tables.version.name,
+            "roomtables": __version__,
+        }
+        # By identity; each entry holds its answer, so that no other can take its id.
+        self._named: dict[int, tuple[Prediction, NamedRoom]] = {}
+
+    def __call__(self, answers: Mapping[str, Prediction]) -> dict[str, NamedRoom]:
+        """A name for each answered room, with what a reader of the graph needs to judge it."""
+        if len(self._named) > _MOST_NAMES:
+            self._named.clear()
+        return {key: self._known(answer) for key, answer in answers.items() if answer.room}
+
+    def _known(self, answer: Prediction) -> NamedRoom:
+        known = self._named.get(id(answer))
+        if known is None:
+            known = self._named[id(answer)] = answer, self._name(answer)
+        return known[1]
+
+    def _name(self, answer: Prediction) -> NamedRoom:
+        assert answer.room is not None
+        return NamedRoom(answer.room, answer.probabilities, _provenance(answer) | self._shared)
+
+
+def _provenance(answer: Prediction) -> dict[str, object]:
+    return {
+        "label": answer.room,
+        "probability": answer.probability,
+        "objects": list(answer.objects),
+        "rule": answer.rule,
+        "source": answer.source,
+        "answered_by": answer.answered_by,
+    }
+
+
+_MOST_SHOWN = 12
+
+
+class Synonyms:
+    """Collects the synonyms among the names of rooms that pass through it."""
+
+    def __init__(self, tables: RoomTables) -> None:
+        self._labels = tables.lookup.object_aliases
+        self._plurals = {entry.label: normalise(entry.plural) for entry in tables.lookup.objects}
+        self._used: dict[str, str] = {}
+
+    def watch(self, rooms: Iterable[Room]) -> Iterator[Room]:
+        """The rooms, unchanged."""
+        for room in rooms:
+            for name in room.objects:
+                spelled = normalise(name)
+                label = self._labels.get(spelled)
+                if label is not None and spelled not in (label, self._plurals[label]):
+                    self._used[spelled] = label
+            yield room
+
+    def report(self) -> None:
+        """One line on stderr, if there was any."""
+        if self._used:
+            pairs = [f"{name} = {label}" for name, label in sorted(self._used.items())]
+            more = ", …" if len(pairs) > _MOST_SHOWN else ""
+            shown = ", ".join(pairs[:_MOST_SHOWN])
+            click.echo(f"read as synonyms: {shown}{more}", err=True)

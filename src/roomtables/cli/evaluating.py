@@ -19,8 +19,7 @@ from roomtables.cli.common import (
     weights_option,
 )
 from roomtables.evaluation import Evaluation, evaluate
-from roomtables.evaluation.comparison import Comparison, compare, parse_conditions
-from roomtables.evaluation.sweep import Sweep, sweep
+from roomtables.evaluation.comparison import Comparison, Sweep, compare, parse_conditions, sweep
 from roomtables.online.classifier import RoomTables
 
 _FILE = click.Path(path_type=Path, dir_okay=False)

@@ -21,9 +21,9 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import InputError, MissingExtraError
-from roomtables.locks import held
-from roomtables.sql import connect, guide, select
-from roomtables.store import SpaceFolder, Version
+from roomtables.storage.files import held
+from roomtables.storage.versions import SpaceFolder, Version
+from roomtables.storage.views import connect, guide, select
 
 _PROMPT, _MORE = "roomtables> ", "       ...> "
 _HELP = "end a query with ;   .tables lists what there is   .quit or Ctrl-D leaves"
@@ -52,7 +52,7 @@ def sql_command(
     """
     if ui and (query or output):
         raise click.UsageError("--ui takes no QUERY and no -o")
-    from roomtables.parts import SCORES  # brings pyarrow
+    from roomtables.storage.score_parts import SCORES  # brings pyarrow
 
     version = SpaceFolder(tables, Path(labels).name).current()
 

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from roomtables.cli.common import (
+    Synonyms,
     as_json,
     as_json_line,
     decision_options,
@@ -23,7 +24,6 @@ from roomtables.cli.common import (
     weights_option,
 )
 from roomtables.cli.scenes import Warnings, house_labels, labelspace_option, mapping_option
-from roomtables.cli.synonyms import Synonyms
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.online.weighing import classify_rooms

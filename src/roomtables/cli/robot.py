@@ -14,8 +14,8 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
-from roomtables.misses import FOLDER, Misses
-from roomtables.store import SpaceFolder
+from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.versions import SpaceFolder
 
 _COLUMNS = ("source", "objects", "times_asked", "last_asked")
 
@@ -64,7 +64,7 @@ def export_command(output: Path, tables: Path, labels: str, float16: bool) -> No
       roomtables export -o tables.tar.zst --labels mpcat40
       tar --zstd -xf tables.tar.zst        # on the robot
     """
-    from roomtables.export import export
+    from roomtables.storage.export import export
 
     for found in export(tables, Path(labels).name, output, float16):
         click.echo(

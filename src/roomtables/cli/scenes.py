@@ -14,6 +14,8 @@ import click
 from tqdm import tqdm
 
 from roomtables.cli.common import (
+    Namer,
+    Synonyms,
     as_json_line,
     decision_options,
     emit,
@@ -24,8 +26,6 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
-from roomtables.cli.naming import Namer
-from roomtables.cli.synonyms import Synonyms
 from roomtables.errors import InputError, StoreError
 from roomtables.online.classifier import RoomTables
 from roomtables.scenes.dsg import dsg_scene
@@ -36,7 +36,7 @@ from roomtables.scenes.reader import load_graph_document, read_scene, scene_file
 from roomtables.scenes.room_lists import read_true_rooms, with_true_rooms, write_nested
 from roomtables.scenes.scene import ReadOptions, Scene, SceneRoom
 from roomtables.scenes.sparkdsg import write_sparkdsg
-from roomtables.store import write_aside
+from roomtables.storage.versions import write_aside
 
 scene_argument = click.argument("scene", type=click.Path(path_type=Path))
 graph_output_option = click.option(
@@ -216,7 +216,7 @@ def show(
     Example:
       roomtables show dsg.json -o scene.html
     """
-    from roomtables.scenes.floor_plan import draw, needs_matplotlib
+    from roomtables.report.floor_plan import draw, needs_matplotlib
 
     needs_matplotlib(output)
     warn = Warnings()

@@ -12,13 +12,12 @@ from typing import Any
 
 import click
 
-from roomtables.cli.common import decision_options, labels_option, tables_option
-from roomtables.cli.naming import Namer
+from roomtables.cli.common import Namer, decision_options, labels_option, tables_option
 from roomtables.cli.scenes import labelspace_option
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.online.serve import Labeller, Service
-from roomtables.scenes.live import GraphCodec, LiveGraph
+from roomtables.scenes.sparkdsg import GraphCodec, LiveGraph
 
 
 @click.command()

@@ -20,7 +20,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import StoreError
-from roomtables.store import KEPT_VERSIONS, SpaceFolder, Version
+from roomtables.storage.versions import KEPT_VERSIONS, SpaceFolder, Version
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 _CLOCK_SKEW = timedelta(minutes=5)
@@ -235,7 +235,7 @@ def diff(
       roomtables diff --top 10
       roomtables diff 000001-1f3c5a77 000004-9b2e0c1d
     """
-    from roomtables.offline.diff import compare
+    from roomtables.offline.upkeep import compare
 
     space = SpaceFolder(tables, Path(labels).name)
     newer = space.named(after) if after else space.current()

@@ -198,7 +198,7 @@ def _truth(
 ) -> tuple[tuple[str, ...], str | None]:
     """The room's true labels among the candidates, and why it is left out, if it is."""
     names = [normalise(label) for label in room.truth]
-    labels = [tables.twin.room_aliases.get(name, name) for name in names]
+    labels = [tables.lookup.room_aliases.get(name, name) for name in names]
     truth = tuple(dict.fromkeys(label for label in labels if label in candidates))
     if not room.truth:
         return truth, NO_TRUTH

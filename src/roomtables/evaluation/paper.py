@@ -106,7 +106,7 @@ def reproduce(columns: Sequence[tuple[RoomTables, Iterable[Room]]]) -> Reproduct
         held = list(rooms)
         labels = tables.version.manifest["labels"]
         for rule, source in CONDITIONS:
-            if source not in tables.twin.sources:
+            if source not in tables.lookup.sources:
                 trials.append(Trial(labels, rule, source, None))
                 continue
             found = evaluate(held, tables.deciding(rule=rule, source=source))

@@ -17,8 +17,8 @@ from roomtables.online.classifier import RoomTables
 from roomtables.online.model import QueryModel
 from roomtables.schemas import ENTROPY_DECIMALS, PROXY, REDUCTIONS
 from roomtables.sentences import Template
-from roomtables.sql import connect, select
-from roomtables.twin import SourceArrays, Twin
+from roomtables.storage.lookup import Lookup, SourceArrays
+from roomtables.storage.views import connect, select
 
 
 def with_other_reduction(tables: RoomTables) -> tuple[RoomTables | None, str]:
@@ -26,24 +26,24 @@ def with_other_reduction(tables: RoomTables) -> tuple[RoomTables | None, str]:
 
     The first is ``None`` where the sentence scores are not there.
     """
-    other = next(name for name in REDUCTIONS if name != tables.twin.reduction)
+    other = next(name for name in REDUCTIONS if name != tables.lookup.reduction)
     rebuild = f"run `roomtables build --reduction {other}`"
     scores = _scores(tables, other)
     if scores is None:
         return None, f"reduction {other}: the sentence scores are not in the tables; {rebuild}"
-    arrays = _arrays(scores, tables.twin)
-    twin = replace(tables.twin, reduction=other, sources={PROXY: arrays})
+    arrays = _arrays(scores, tables.lookup)
+    lookup = replace(tables.lookup, reduction=other, sources={PROXY: arrays})
     model = QueryModel(tables.version.manifest, allowed=False)
     decision = replace(tables.decision, source=PROXY)
-    found = RoomTables(tables.version, twin, model, decision)
+    found = RoomTables(tables.version, lookup, model, decision)
     return found, f"reduction {other} of query sentences: {rebuild}"
 
 
 def _scores(tables: RoomTables, reduction: str) -> NDArray[np.float64] | None:
     """S(o, r) ``[objects, rooms]`` in nats, or ``None`` where a sentence has no score."""
-    twin = tables.twin
-    template = Template(twin.template)
-    sentences = [text for o in twin.objects for text in template.compose([o], twin.rooms)]
+    lookup = tables.lookup
+    template = Template(lookup.template)
+    sentences = [text for o in lookup.objects for text in template.compose([o], lookup.rooms)]
     connection = connect(tables.version.path.parents[1], tables.version)
     try:
         scorer = str(tables.version.manifest["scorer_id"]).replace("'", "''")
@@ -59,19 +59,19 @@ def _scores(tables: RoomTables, reduction: str) -> NDArray[np.float64] | None:
         return None
     pairs = np.array([held[sentence] for sentence in sentences])
     values = pairs[:, 0] if reduction == "sum" else pairs[:, 0] / pairs[:, 1]
-    return values.reshape(len(twin.objects), len(twin.rooms))
+    return values.reshape(len(lookup.objects), len(lookup.rooms))
 
 
-def _arrays(scores: NDArray[np.float64], twin: Twin) -> SourceArrays:
+def _arrays(scores: NDArray[np.float64], lookup: Lookup) -> SourceArrays:
     """What the build would write for these scores, without combinations."""
-    labels = [o.label for o in twin.objects]
+    labels = [o.label for o in lookup.objects]
     entropy = rules.entropy(rules.log_softmax(scores))
     order = sorted(
         range(len(labels)), key=lambda n: (round(float(entropy[n]), ENTROPY_DECIMALS), labels[n])
     )
     ranks = np.empty(len(labels), np.int32)
     ranks[order] = np.arange(1, len(labels) + 1)
-    predicted = [number for number, room in enumerate(twin.rooms) if room.predicted]
+    predicted = [number for number, room in enumerate(lookup.rooms) if room.predicted]
     return SourceArrays(
         entropy,
         ranks,

@@ -13,7 +13,7 @@ from roomtables.lm.folders import EMBEDDED_MODEL
 from roomtables.lm.identity import identify
 
 if TYPE_CHECKING:
-    from roomtables.lm.windows import SentenceScorer
+    from roomtables.lm.scorer import SentenceScorer
 
 __all__ = ["EMBEDDED_MODEL", "identify", "load_scorer"]
 

@@ -12,8 +12,8 @@ from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import FloatArray, Forward
 from roomtables.lm.progress import Meter
 from roomtables.lm.selfcheck import choose
-from roomtables.lm.sequences import Sequences, sort_sequences
 from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
+from roomtables.lm.trie import Sequences, sort_sequences
 
 
 class CausalBackend:

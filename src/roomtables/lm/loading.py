@@ -17,8 +17,7 @@ from roomtables.lm.forward import Forward
 from roomtables.lm.identity import device_class, scorer_id, scoring_kind
 from roomtables.lm.kernels import accelerate
 from roomtables.lm.masked import MaskedBackend
-from roomtables.lm.threads import threads_for, using_threads
-from roomtables.lm.windows import SentenceScorer
+from roomtables.lm.scorer import SentenceScorer, threads_for, using_threads
 
 _log = logging.getLogger(__name__)
 

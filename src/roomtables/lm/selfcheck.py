@@ -17,8 +17,8 @@ from roomtables.errors import ModelError
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import FloatArray, Forward, IntArray
 from roomtables.lm.progress import Meter
-from roomtables.lm.sequences import Sequences, sort_sequences
 from roomtables.lm.strategies import ROW_NODES, Strategy
+from roomtables.lm.trie import Sequences, sort_sequences
 
 _log = logging.getLogger(__name__)
 

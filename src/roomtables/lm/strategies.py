@@ -11,8 +11,16 @@ from transformers import DynamicCache
 
 from roomtables.lm.forward import FloatArray, Forward
 from roomtables.lm.progress import Meter
-from roomtables.lm.sequences import Group, IntArray, Sequences, group_by_prefix
-from roomtables.lm.trie import batch_rows, build_trie, cut_rows, lay_out
+from roomtables.lm.trie import (
+    Group,
+    IntArray,
+    Sequences,
+    batch_rows,
+    build_trie,
+    cut_rows,
+    group_by_prefix,
+    lay_out,
+)
 
 Strategy = Callable[[Forward, Sequences, int, Meter], FloatArray]
 

@@ -15,20 +15,18 @@ from typing import Any
 import duckdb
 
 from roomtables.config import BuildConfig
-from roomtables.locks import build_lock, utc_now
-from roomtables.offline import stages, steps
-from roomtables.offline.cache import SentenceCache
-from roomtables.offline.decision import CACHED, decide
-from roomtables.offline.engine import score
-from roomtables.offline.fingerprints import combined, stage_fingerprints
-from roomtables.offline.inputs import Inputs
-from roomtables.offline.model import LazyScorer
+from roomtables.offline import stages
+from roomtables.offline.engines import score
+from roomtables.offline.inputs import Inputs, LazyScorer
+from roomtables.offline.plan import CACHED, combined, decide, stage_fingerprints
 from roomtables.offline.scoring import Scored, Work, missing_sentences
 from roomtables.offline.stages import interruptible
-from roomtables.offline.twins import derive_twin
 from roomtables.schemas import SCHEMA_VERSION, VERSION_TABLES
 from roomtables.scorer import Scorer
-from roomtables.store import LOOKUP, SpaceFolder, Version, file_facts
+from roomtables.storage.files import build_lock, utc_now
+from roomtables.storage.lookup_writer import derive_lookup
+from roomtables.storage.score_cache import SentenceCache
+from roomtables.storage.versions import LOOKUP, SpaceFolder, Version, file_facts
 
 
 @dataclass(frozen=True)
@@ -160,7 +158,7 @@ class _Making:
             self._make_tables(connection)
             stages.run_checks(connection)
             rows = {name: stages.export(connection, name, staging) for name in VERSION_TABLES}
-            twin = derive_twin(
+            lookup = derive_lookup(
                 connection,
                 staging,
                 staging / LOOKUP,
@@ -177,7 +175,7 @@ class _Making:
         files = sorted(path for path in staging.rglob("*") if path.is_file())
         return (
             self._manifest()
-            | twin
+            | lookup
             | {
                 "rows": rows,
                 "combinations": dict(combinations),
@@ -187,18 +185,18 @@ class _Making:
 
     def _make_tables(self, connection: duckdb.DuckDBPyConnection) -> None:
         """All tables, in the order of the stages."""
-        steps.prepare(connection, self.inputs)
+        stages.prepare(connection, self.inputs)
         if self.inputs.scores is None:
-            self._score(connection, steps.SINGLES)
-        steps.derive(connection, self.inputs)
+            self._score(connection, stages.SINGLES)
+        stages.derive(connection, self.inputs)
         if self.inputs.config.combinations != "none":
-            self._score(connection, steps.QUERIES)
+            self._score(connection, stages.QUERIES)
         stages.run_stage(connection, "query_scores")
 
     def _score(self, connection: duckdb.DuckDBPyConnection, sentences: str) -> None:
         """See that every sentence that is selected is in view ``sentence_scores``."""
         assert self.cache is not None  # whoever needs a sentence needs a model
-        self.sentences += steps.need(connection, sentences)
+        self.sentences += stages.need(connection, sentences)
         if self.inputs.config.full_refresh:
             self.cache.evict(connection, "needed")
         missing = missing_sentences(connection, self.cache, "needed")

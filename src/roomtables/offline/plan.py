@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import duckdb
 
 from roomtables.config import BuildConfig
-from roomtables.offline import stages, steps
-from roomtables.offline.cache import SentenceCache
+from roomtables.offline import stages
 from roomtables.offline.combinations import count_all
-from roomtables.offline.decision import CACHED, MISSING, Stage, decide
-from roomtables.offline.fingerprints import stage_fingerprints
-from roomtables.offline.inputs import Inputs
-from roomtables.offline.model import LazyScorer
+from roomtables.offline.inputs import Inputs, LazyScorer
 from roomtables.offline.scoring import missing_sentences
-from roomtables.schemas import PROXY
+from roomtables.offline.stages import stage_sql
+from roomtables.schemas import PROXY, SCHEMA_VERSION
 from roomtables.scorer import Scorer
-from roomtables.store import SpaceFolder, Version
+from roomtables.storage.score_cache import SentenceCache
+from roomtables.storage.versions import LOOKUP, SpaceFolder, Version, file_facts
 
 
 @dataclass(frozen=True)
@@ -160,10 +160,10 @@ def _count(inputs: Inputs, cache: SentenceCache | None) -> _Counted:
     with tempfile.TemporaryDirectory(prefix="roomtables-plan-") as folder:
         connection = stages.connect(Path(folder))
         try:
-            steps.prepare(connection, inputs)
+            stages.prepare(connection, inputs)
             singles = _count_singles(connection, inputs, cache)
-            steps.derive(connection, inputs)
-            combinations = steps.count(connection, "combinations")
+            stages.derive(connection, inputs)
+            combinations = stages.count(connection, "combinations")
             if cache is None or not combinations:
                 return _Counted(singles, True, combinations)
             queries, exact = _count_queries(connection, inputs, cache)
@@ -183,7 +183,7 @@ def _count_singles(
     connection.execute("create temp table unknown (object varchar)")
     if cache is None or inputs.scores is not None:
         return 0
-    needed = steps.need(connection, steps.SINGLES)
+    needed = stages.need(connection, stages.SINGLES)
     missing = missing_sentences(connection, cache, "needed")
     connection.execute(
         "insert into unknown select distinct object from single_sentences "
@@ -209,16 +209,16 @@ def _count_queries(
         f"create temp table undecided as select source, key from combinations where source = "
         f"'{PROXY}' and list_has_any(objects, (select coalesce(list(object), []) from unknown))"
     )
-    known = f"({steps.QUERIES}) as known"
+    known = f"({stages.QUERIES}) as known"
     undecided = 0
     exact = True
-    if steps.count(connection, "undecided"):
+    if stages.count(connection, "undecided"):
         decided = "select * from queries anti join undecided using (source, key)"
-        known = f"({steps.QUERIES.replace('queries', f'({decided})', 1)}) as known"
+        known = f"({stages.QUERIES.replace('queries', f'({decided})', 1)}) as known"
         held, undecided = _undecided(connection, cache)
         one_source = inputs.counts is None and inputs.config.combinations == "all"
         exact = one_source and not held
-    total = steps.need(connection, f"select sentence from {known}")
+    total = stages.need(connection, f"select sentence from {known}")
     if not inputs.config.full_refresh:
         total = missing_sentences(connection, cache, "needed")
     return total + undecided, exact
@@ -227,5 +227,152 @@ def _count_queries(
 def _undecided(connection: duckdb.DuckDBPyConnection, cache: SentenceCache) -> tuple[int, int]:
     """Of the sentences whose order is unknown, how many are held as they stand; all of them."""
     undecided = "select * from queries semi join undecided using (source, key)"
-    total = steps.need(connection, steps.QUERIES.replace("queries", f"({undecided})", 1))
+    total = stages.need(connection, stages.QUERIES.replace("queries", f"({undecided})", 1))
     return total - missing_sentences(connection, cache, "needed"), total
+
+
+CACHED, MISSING, STALE = "cached", "missing", "stale"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage's state before a build.
+
+    ``why`` is ``model``, ``code`` or ``input`` (what changed), ``refresh`` (asked for), ``damaged``
+    or ``removed`` (a file), or ``not built``; empty where the stage is cached.
+    """
+
+    stage: str
+    state: str
+    why: str = ""
+    sentences: int = 0
+
+
+def decide(
+    fingerprints: Mapping[str, Fingerprint],
+    published: Version | None,
+    cache: SentenceCache | None,
+    full_refresh: bool,
+) -> list[Stage]:
+    """The state of every stage; a build makes all tables unless every stage is cached.
+
+    ``cache`` is ``None`` where no model is asked.
+    """
+    if full_refresh:
+        return [Stage(stage, STALE, "refresh") for stage in fingerprints]
+    noted: Mapping[str, Any] = published.manifest.get("stages", {}) if published else {}
+    found = [_compare(stage, now, noted, published) for stage, now in fingerprints.items()]
+    damaged = _damaged(published) if published else {}
+    found = [
+        replace(stage, state=MISSING, why=damaged[stage.stage])
+        if stage.state == CACHED and stage.stage in damaged
+        else stage
+        for stage in found
+    ]
+    recorded = published.manifest.get("score_parts", []) if published else []
+    if cache is None or cache.holds(recorded):
+        return found
+    return [
+        replace(stage, state=MISSING, why="removed")
+        if (stage.stage, stage.state) == ("sentence_scores", CACHED)
+        else stage
+        for stage in found
+    ]
+
+
+def _compare(
+    stage: str, now: Fingerprint, noted: Mapping[str, Any], published: Version | None
+) -> Stage:
+    if published is None:
+        return Stage(stage, MISSING, "not built")
+    before = noted.get(stage, {})
+    for why, value in now._asdict().items():
+        if before.get(why) != value:
+            return Stage(stage, STALE, why)
+    return Stage(stage, CACHED)
+
+
+def _damaged(version: Version) -> dict[str, str]:
+    """Stages whose published files are not as noted, and how."""
+    found = {}
+    for name, noted in version.manifest.get("files", {}).items():
+        path = version.path / name
+        stage = LOOKUP if name.startswith(f"{LOOKUP}/") else Path(name).stem
+        if not path.is_file():
+            found[stage] = "removed"
+        elif file_facts(path) != noted:
+            found[stage] = "damaged"
+    return found
+
+
+class Fingerprint(NamedTuple):
+    """Hashes of what decides a stage's table."""
+
+    model: str
+    code: str
+    input: str
+
+
+@dataclass(frozen=True)
+class _Own:
+    """What a stage depends on besides the stages ``after`` which it comes."""
+
+    after: tuple[str, ...] = ()
+    model: object = None
+    sql: tuple[str, ...] = ()
+    input: object = None
+
+
+def stage_fingerprints(inputs: Inputs, scorer_id: str | None) -> dict[str, Fingerprint]:
+    """Every stage's fingerprint, in the order of the stages."""
+    found: dict[str, Fingerprint] = {}
+    for stage, own in _stages(inputs, scorer_id).items():
+        before = [found[name] for name in own.after]
+        found[stage] = Fingerprint(
+            _hash([own.model, *(b.model for b in before)]),
+            _hash([SCHEMA_VERSION, *map(stage_sql, own.sql), *(b.code for b in before)]),
+            _hash([own.input, *(b.input for b in before)]),
+        )
+    return found
+
+
+def combined(fingerprints: Mapping[str, Fingerprint]) -> str:
+    """One hash over all stages: what names a version."""
+    return _hash(fingerprints)
+
+
+def _stages(inputs: Inputs, scorer_id: str | None) -> dict[str, _Own]:
+    config, labels = inputs.config, inputs.labels
+    imported = inputs.scores.fingerprint if inputs.scores else None
+    settings: dict[str, Any] = {"template": config.template, "reduction": config.reduction}
+    every = config.combinations in {"all", "none"}
+    asked = config.combinations if every else [inputs.rooms, inputs.asked.fingerprint()]
+    evidence = {
+        "counts": inputs.counts.fingerprint if inputs.counts else None,
+        "scores": imported,
+        "smoothing": inputs.smoothing,
+    }
+    decision = {n: getattr(config, n) for n in ("source", "rule", "prior_weight", "evidence_power")}
+    return {
+        "objects": _Own(input=[(o.label, o.plural) for o in labels.objects]),
+        "rooms": _Own(input=[(r.label, r.article, r.predicted) for r in labels.rooms]),
+        "sentence_scores": _Own(
+            ("objects", "rooms"), scorer_id, (), [config.template, config.k, asked]
+        ),
+        "cooccurrence": _Own(
+            ("objects", "rooms"),
+            None if imported else scorer_id,
+            ("single_scores", "cooccurrence"),
+            settings | evidence,
+        ),
+        "entropy": _Own(("cooccurrence",), sql=("entropy",)),
+        "room_bias": _Own(("cooccurrence",), sql=("room_bias",)),
+        "query_scores": _Own(("sentence_scores", "entropy"), sql=("query_scores",)),
+        "lookup": _Own(
+            ("query_scores", "room_bias"), input=[labels.name, labels.fingerprint, decision]
+        ),
+    }
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, default=str).encode()).hexdigest()[:16]

@@ -29,10 +29,10 @@ from tqdm import tqdm
 
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError, RoomtablesError
-from roomtables.files import writing
-from roomtables.offline.cache import SentenceCache
-from roomtables.offline.model import LazyScorer
+from roomtables.offline.inputs import LazyScorer
 from roomtables.offline.scoring import Scored, Work, check_identity, scored
+from roomtables.storage.files import writing
+from roomtables.storage.score_cache import SentenceCache
 
 # As many as the scorer's largest window: a smaller shard would share less between sentences.
 SHARD_SENTENCES = 65_536

@@ -12,9 +12,9 @@ import duckdb
 
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
-from roomtables.offline.cache import SentenceCache
-from roomtables.offline.model import LazyScorer
+from roomtables.offline.inputs import LazyScorer
 from roomtables.scorer import Scorer, SentenceScore
+from roomtables.storage.score_cache import SentenceCache
 
 # A part is written when it holds this many sentences or is this old: what a killed build loses.
 PART_SENTENCES = 20_000

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from roomtables.errors import StoreError
 from roomtables.labels import RoomLabel
-from roomtables.misses import FOLDER, MissLog
 from roomtables.online import batch
-from roomtables.online.decider import Decision, TableDecider
+from roomtables.online.decision import Decision, TableDecider
 from roomtables.online.model import QueryModel
-from roomtables.online.open_vocabulary import OpenVocabulary, Question
+from roomtables.online.model_pass import OpenVocabulary, Question
+from roomtables.online.names import UNLISTED, Vocabulary, as_names
 from roomtables.online.prediction import NONE, TABLE, Prediction, Predictions
-from roomtables.online.vocabulary import UNLISTED, Vocabulary, as_names
 from roomtables.scorer import Scorer
-from roomtables.store import LOOKUP, SpaceFolder, Version
-from roomtables.twin import Twin
+from roomtables.storage.lookup import Lookup
+from roomtables.storage.misses import FOLDER, MissLog
+from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 _BATCH = 1 << 13  # rooms worked on at once: their arrays fit the processor's cache
 _ATTEMPTS = 20  # opens, while a build removes the version that CURRENT named a moment ago
@@ -43,19 +43,19 @@ class RoomTables:
     def __init__(
         self,
         version: Version,
-        twin: Twin,
+        lookup: Lookup,
         model: QueryModel,
         decision: Decision,
         misses: MissLog | None = None,
     ) -> None:
         self.version = version
-        self.twin = twin
+        self.lookup = lookup
         self.decision = decision
         self._model = model
         self._misses = misses
-        self._decider = TableDecider(twin, decision, model)
+        self._decider = TableDecider(lookup, decision, model)
         self._open = OpenVocabulary(self._decider, model, misses)
-        self._vocabulary = Vocabulary(twin.object_aliases, self._decider.ranks())
+        self._vocabulary = Vocabulary(lookup.object_aliases, self._decider.ranks())
         self._rank_of = self._vocabulary.__getitem__
 
     @classmethod
@@ -92,17 +92,17 @@ class RoomTables:
             A candidate room is unknown and no model may be asked about it.
         """
         space = _space(Path(tables), Path(labels).name)
-        version, twin = _open_published(space, verify)
+        version, lookup = _open_published(space, verify)
         misses = MissLog(space.path / FOLDER) if note_misses else None
         model = QueryModel(version.manifest, scorer, allowed=not offline)
         settings = dict(version.manifest["decision"])
         settings |= {name: value for name, value in decision.items() if value is not None}
-        return cls(version, twin, model, Decision(**settings), misses)
+        return cls(version, lookup, model, Decision(**settings), misses)
 
     def deciding(self, **changes: Any) -> RoomTables:
         """The same tables and model under another rule, source, λ, γ or candidates."""
         decision = replace(self.decision, **changes)
-        return RoomTables(self.version, self.twin, self._model, decision, self._misses)
+        return RoomTables(self.version, self.lookup, self._model, decision, self._misses)
 
     @property
     def candidates(self) -> tuple[RoomLabel, ...]:
@@ -193,7 +193,7 @@ class RoomTables:
                 total, some[rooms] = batch.summed(self._decider.evidence, part, sizes)
                 best[rooms] = np.where(some[rooms], total.argmax(axis=1), -1)
             else:
-                picked = batch.most_informative(part, sizes, self.twin.k)
+                picked = batch.most_informative(part, sizes, self.lookup.k)
                 some[rooms] = picked[:, 0] > 0
                 best[rooms] = self._decider.best_of_many(picked)
         return best, some
@@ -214,8 +214,8 @@ def _space(tables: Path, labels: str) -> SpaceFolder:
     return SpaceFolder(unpacked if inside else tables, labels)
 
 
-def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Twin]:
-    """The version that ``CURRENT`` names, and its twin.
+def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:
+    """The version that ``CURRENT`` names, and its lookup.
 
     Builds may publish others and remove this one before it is opened; ``CURRENT`` tells.
     """
@@ -229,7 +229,7 @@ def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Twin]:
     return _open_version(space, verify)
 
 
-def _open_version(space: SpaceFolder, verify: bool) -> tuple[Version, Twin]:
+def _open_version(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:
     version = space.current()
     labels = version.manifest["labels"]
     if labels != space.labels:
@@ -237,4 +237,4 @@ def _open_version(space: SpaceFolder, verify: bool) -> tuple[Version, Twin]:
             f"{version.path} holds tables of label space {labels}, not {space.labels}; "
             f"run `roomtables build --labels {space.labels} --full-refresh`"
         )
-    return version, Twin.open(version.path / LOOKUP, version.manifest, verify)
+    return version, Lookup.open(version.path / LOOKUP, version.manifest, verify)

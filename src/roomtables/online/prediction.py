@@ -9,7 +9,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from roomtables.online.decider import AUTO, KnownObject, TableDecider
+from roomtables.online.decision import AUTO, KnownObject, TableDecider
 from roomtables.online.rules import log_softmax
 
 TABLE = "table"

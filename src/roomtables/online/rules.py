@@ -28,15 +28,15 @@ def entropy(log_probabilities: Array) -> Array:
     return result
 
 
-def room_bias(object_room: Array) -> Array:
+def room_bias(room_logits: Array) -> Array:
     """b: the mean over objects of L = log softmax of S; ``[objects, rooms]`` → ``[rooms]``."""
-    result: Array = np.mean(log_softmax(object_room), axis=0)
+    result: Array = np.mean(log_softmax(room_logits), axis=0)
     return result
 
 
-def adjusted(object_room: Array, bias: Array, prior_weight: float) -> Array:
+def adjusted(room_logits: Array, bias: Array, prior_weight: float) -> Array:
     """L′ = log softmax of (L − λ b): what each object says of each room, ``[objects, rooms]``."""
-    return log_softmax(log_softmax(object_room) - prior_weight * bias)
+    return log_softmax(log_softmax(room_logits) - prior_weight * bias)
 
 
 def evidence_weights(adjusted_scores: Array, evidence_power: float) -> Array:
@@ -57,8 +57,8 @@ def weighed(adjusted_scores: Array, weights: Array) -> Array:
 
 
 def pooled_evidence(
-    object_room: Array, bias: Array, prior_weight: float, evidence_power: float
+    room_logits: Array, bias: Array, prior_weight: float, evidence_power: float
 ) -> Array:
     """What each object adds to each room under rule ``pooled``, ``[objects, rooms]``."""
-    scores = adjusted(object_room, bias, prior_weight)
+    scores = adjusted(room_logits, bias, prior_weight)
     return weighed(scores, evidence_weights(scores, evidence_power))

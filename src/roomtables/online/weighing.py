@@ -40,7 +40,7 @@ def classify_rooms(
         raise ConfigError(
             f"weights act on rule {POOLED}, not {tables.decision.rule}; add `--rule {POOLED}`"
         )
-    factors = [_factors(room, weights, tables.twin.object_aliases) for room in rooms]
+    factors = [_factors(room, weights, tables.lookup.object_aliases) for room in rooms]
     found = tables.classify_many([room.objects for room in rooms])
     return [
         prediction.weighed(factor).unless_unsure()

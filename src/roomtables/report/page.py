@@ -14,7 +14,7 @@ from roomtables.online.classifier import RoomTables
 from roomtables.report import html
 from roomtables.report.html import Bar
 from roomtables.rooms import Room, read_room_lines
-from roomtables.sql import connect, select
+from roomtables.storage.views import connect, select
 
 _SHOWN = 15
 _SIGNATURES = 6

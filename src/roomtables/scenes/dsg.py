@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.errors import InputError
-from roomtables.scenes.dsg_graph import Graph, parse_graph, rooms_of
-from roomtables.scenes.dsg_values import node_box, node_point, symbol
+from roomtables.scenes.dsg_graph import Graph, node_box, node_point, parse_graph, rooms_of, symbol
 from roomtables.scenes.hydra import load_label_names
 from roomtables.scenes.matterport_labels import ROOM_NAMES
 from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, report_unassigned

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from roomtables.scenes.dsg_graph import Graph
-from roomtables.scenes.dsg_values import symbol
+from roomtables.scenes.dsg_graph import Graph, symbol
 
 UNKNOWN_LABEL = 0
 

@@ -7,11 +7,17 @@ writer of graphs.
 from __future__ import annotations
 
 import json
+import math
 import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from roomtables.errors import InputError, MissingExtraError
+from roomtables.scenes.dsg_graph import label_spaces, rooms_of, symbol
+from roomtables.scenes.dsg_labels import NamedRoom, room_label_space
+from roomtables.scenes.hydra import load_label_names
 
 
 def graph_class() -> Any:
@@ -74,3 +80,152 @@ def write_sparkdsg(document: dict[str, Any], path: Path) -> None:
         except Exception as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(f"spark_dsg cannot load the graph ({reason}); write .json") from error
+
+
+# What decoding a message may allocate: a forged length field must not take the robot's memory.
+_LEAST_BYTES = 512 << 20
+_BYTES_PER_MESSAGE_BYTE = 64
+_INDEX_BITS = 56
+_OBJECT_LETTERS = frozenset(map(ord, "Oo"))
+
+
+class LiveGraph:
+    """One decoded message. ``rooms`` maps each room's symbol to the labels of its objects."""
+
+    def __init__(self, graph: Any, names: Mapping[int, str] | None) -> None:
+        self._graph = graph
+        metadata = dict(graph.metadata.get())
+        spaces = label_spaces({"metadata": metadata}, "message")
+        self._rooms = {symbol(node.id.value): node for node in _nodes(graph, "ROOMS")}
+        self._room_labels = spaces.get("_l4p0", {})
+        names = names or spaces.get("_l2p0") or spaces.get("mesh")
+        objects = _object_labels(graph)
+        if names is None and objects and self._rooms:
+            raise InputError(
+                "no label space names its objects' labels; give one with `--labelspace FILE.yaml`"
+            )
+        self.rooms = self._contents(objects, names or {})
+
+    def _contents(
+        self, objects: Mapping[int, int], names: Mapping[int, str]
+    ) -> dict[str, tuple[str, ...]]:
+        graph = self._graph
+        rooms = {node.id.value: key for key, node in self._rooms.items()}
+        parents = _parents_below(graph, rooms)
+        owner = rooms_of(
+            objects,
+            lambda key: parents.get(key, ()),
+            rooms.__contains__,
+            lambda child, parent: math.dist(graph.get_position(child), graph.get_position(parent)),
+        )
+        held: dict[str, list[str]] = {key: [] for key in self._rooms}
+        for key, room in owner.items():
+            name = names.get(objects[key])
+            if room is not None and name is not None:
+                held[rooms[room]].append(name)
+        return {key: tuple(sorted(found)) for key, found in held.items()}
+
+    def name_rooms(self, named: Mapping[str, NamedRoom], labels: Iterable[str]) -> None:
+        """Write names into the graph; rooms without an answer keep what they have."""
+        used = {room.label for room in named.values()}
+        ids, pairs = room_label_space(self._room_labels, used, labels)
+        if named and len(pairs) > len(self._room_labels):
+            metadata = dict(self._graph.metadata.get())
+            metadata.setdefault("labelspaces", {})["_l4p0"] = pairs
+            self._graph.metadata.set(metadata)
+        for key, room in named.items():
+            attributes = self._rooms[key].attributes
+            attributes.name = room.label
+            attributes.semantic_label = ids[room.label]
+            attributes.semantic_class_probabilities = dict(room.probabilities)
+            own = dict(attributes.metadata.get())
+            attributes.metadata.set({**own, "roomtables": dict(room.provenance)})
+
+    def encode(self) -> bytes:
+        """The message to publish, without the mesh."""
+        message: bytes = self._graph.to_binary(include_mesh=False)
+        return message
+
+
+class GraphCodec:
+    """Decodes messages, with the names of a Hydra label-space YAML where one is given.
+
+    Raises
+    ------
+    InputError
+        The YAML is not a label space.
+    MissingExtraError
+        ``spark_dsg`` is not installed.
+    """
+
+    def __init__(self, labelspace: Path | None = None) -> None:
+        self._names = load_label_names(labelspace) if labelspace else None
+        self._graph_class = graph_class()
+
+    def decode(self, message: bytes) -> LiveGraph:
+        """A graph from a message.
+
+        Raises
+        ------
+        InputError
+            The message is no scene graph, or one whose labels nothing names.
+        """
+        try:
+            with _bounded_memory(_LEAST_BYTES + _BYTES_PER_MESSAGE_BYTE * len(message)):
+                graph = self._graph_class.from_binary(message)
+            return LiveGraph(graph, self._names)
+        except InputError:
+            raise
+        except Exception as error:  # whatever a forged message makes of the decoder
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            raise InputError(f"not a readable scene graph ({reason})") from error
+
+
+def _nodes(graph: Any, layer: str) -> Iterable[Any]:
+    nodes: Iterable[Any] = graph.get_layer(layer).nodes if graph.has_layer(layer) else ()
+    return nodes
+
+
+def _parents_below(graph: Any, rooms: Iterable[int]) -> dict[int, list[int]]:
+    """The parents of all that lies below the rooms: few nodes are asked, as most are objects."""
+    parents: dict[int, list[int]] = {}
+    asked, todo = set(rooms), list(rooms)
+    while todo:
+        parent = todo.pop()
+        for child in graph.get_node(parent).children():
+            parents.setdefault(child, []).append(parent)
+            if child not in asked and child >> _INDEX_BITS not in _OBJECT_LETTERS:
+                asked.add(child)
+                todo.append(child)
+    return parents
+
+
+def _object_labels(graph: Any) -> dict[int, int]:
+    """The label of each object, by id; agents may share the layer and are no objects."""
+    labels = {}
+    for node in _nodes(graph, "OBJECTS"):
+        attributes = node.attributes
+        if "Object" in type(attributes).__name__:
+            labels[node.id.value] = attributes.semantic_label
+    return labels
+
+
+@contextmanager
+def _bounded_memory(extra: int) -> Iterator[None]:
+    """Let the process grow by ``extra`` bytes at most, where the system can hold it to that."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (ImportError, OSError):
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = pages * resource.getpagesize() + extra
+    if soft != resource.RLIM_INFINITY:
+        limit = min(limit, soft)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

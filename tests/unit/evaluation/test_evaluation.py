@@ -9,8 +9,13 @@ from click.testing import CliRunner
 from roomtables import RoomTables, evaluate
 from roomtables.cli import main
 from roomtables.errors import InputError, StoreError
-from roomtables.evaluation.comparison import compare, parse_conditions
-from roomtables.evaluation.sweep import EVIDENCE_POWERS, PRIOR_WEIGHTS, sweep
+from roomtables.evaluation.comparison import (
+    EVIDENCE_POWERS,
+    PRIOR_WEIGHTS,
+    compare,
+    parse_conditions,
+    sweep,
+)
 from roomtables.rooms import Room
 from tiny_tables import build_tables
 

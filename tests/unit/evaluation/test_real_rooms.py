@@ -5,7 +5,7 @@ import json
 import pytest
 
 from roomtables import RoomTables, build, evaluate
-from roomtables.evaluation.sweep import sweep
+from roomtables.evaluation.comparison import sweep
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from roomtables.errors import ModelError
 from roomtables.lm import load_scorer
-from roomtables.lm.windows import SentenceScorer
+from roomtables.lm.scorer import SentenceScorer
 from roomtables.scorer import Scorer
 from unit.lm.conftest import byte_level_tokenizer, room_sentences, save_model
 from unit.lm.naive import causal_scores

@@ -14,8 +14,8 @@ from roomtables.labels import LabelSpace
 from roomtables.offline import stages
 from roomtables.scorer import SentenceScore
 from roomtables.sentences import Template
-from roomtables.store import SpaceFolder
-from roomtables.twin import Twin, pack_keys
+from roomtables.storage.lookup import Lookup, pack_keys
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 SPACE = small_space()
@@ -95,8 +95,8 @@ def test_query_scores_hold_every_combination(tmp_path, labels, counts):
 def test_the_twin_is_the_tables(tmp_path, labels, counts):
     build(tables=tmp_path, labels=labels, scorer=HashScorer(), counts=counts)
     version = SpaceFolder(tmp_path, "small").current()
-    twin = Twin.open(version.path / "lookup", version.manifest)
-    for source, arrays in twin.sources.items():
+    lookup = Lookup.open(version.path / "lookup", version.manifest)
+    for source, arrays in lookup.sources.items():
         rows = [r for r in table(tmp_path, "query_scores", "source, key") if r[0] == source]
         assert arrays.keys.tolist() == [row[1] for row in rows]
         np.testing.assert_array_equal(arrays.scores, np.array([r[3] for r in rows], np.float32))

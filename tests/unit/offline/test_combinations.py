@@ -15,7 +15,7 @@ from roomtables.offline.combinations import (
     query_frames,
 )
 from roomtables.sentences import Template
-from roomtables.twin import pack_keys, unpack_ranks
+from roomtables.storage.lookup import pack_keys, unpack_ranks
 from support import small_space
 
 SPACE = small_space()

@@ -8,9 +8,9 @@ from roomtables import build
 from roomtables.config import BuildConfig
 from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
-from roomtables.offline import fingerprints
+from roomtables.offline import plan as planning
 from roomtables.offline.plan import plan
-from roomtables.store import SpaceFolder
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 SPACE = small_space()
@@ -95,9 +95,9 @@ def test_another_model(tmp_path, labels):
 
 def test_another_code(tmp_path, labels, monkeypatch):
     agrees(tmp_path / "t", labels=labels)
-    real = fingerprints.stage_sql
+    real = planning.stage_sql
     monkeypatch.setattr(
-        fingerprints, "stage_sql", lambda name: real(name) + ("--" if name == "entropy" else "")
+        planning, "stage_sql", lambda name: real(name) + ("--" if name == "entropy" else "")
     )
     planned, report = agrees(tmp_path / "t", labels=labels)
     assert report.sentences_scored == 0

@@ -9,12 +9,11 @@ import pytest
 from roomtables import build
 from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
-from roomtables.locks import held
-from roomtables.offline.cache import SentenceCache
-from roomtables.offline.diff import compare
-from roomtables.offline.upkeep import collect_garbage, compact, roll_back
+from roomtables.offline.upkeep import collect_garbage, compact, compare, roll_back
 from roomtables.scorer import SentenceScore
-from roomtables.store import SpaceFolder
+from roomtables.storage.files import held
+from roomtables.storage.score_cache import SentenceCache
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 SPACE = small_space()

@@ -48,8 +48,8 @@ def test_auto_temperature_is_the_sum_of_the_weights(tables):
     assert auto.temperature == pytest.approx(sum(said.weight for said in auto.evidence))
     # An object alone is then said as the model says it: its weight cancels.
     alone = tables.deciding(temperature="auto", prior_weight=0.0).classify(["bed"])
-    number = [o.label for o in tables.twin.objects].index("bed")
-    scores = tables.twin.sources["proxy"].object_room[number]
+    number = [o.label for o in tables.lookup.objects].index("bed")
+    scores = tables.lookup.sources["proxy"].room_logits[number]
     assert list(alone.probabilities.values()) == pytest.approx(softmax(scores).tolist())
     assert tables.deciding(rule="query", temperature="auto").classify(["bed"]).temperature == 1
 

@@ -1,0 +1,174 @@
+"""The scorer that users hold: streams sentences through a backend in windows of bounded size.
+
+A window is deduplicated, scored in whatever order is cheapest, and handed back in the order given.
+Windows and the packing inside them depend on the input and the token budget alone, so a rebuild on
+the same machine gives the same scores.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from contextlib import contextmanager
+from itertools import islice
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from roomtables.errors import ModelError
+from roomtables.lm.encoding import quoted
+from roomtables.lm.forward import FloatArray
+from roomtables.lm.progress import Meter
+from roomtables.scorer import SentenceScore
+
+_log = logging.getLogger(__name__)
+
+SMALLEST_BUDGET = 16
+_SENTENCES_PER_TOKEN = 16  # a window's sentences for each token of the budget
+_LARGEST_WINDOW = 1 << 16
+
+
+class Backend(Protocol):
+    """What differs between causal and masked language models."""
+
+    @property
+    def strategy(self) -> str: ...
+
+    @property
+    def fallbacks(self) -> Sequence[str]:
+        """Why faster strategies were passed over, one line each."""
+        ...
+
+    def encode(self, sentences: Sequence[str]) -> Sequence[Any]:
+        """Tokens of each sentence; raises ModelError for one that cannot be scored."""
+        ...
+
+    def token_count(self, encoded: Any) -> int:
+        """How many tokens of one encoded sentence are scored."""
+        ...
+
+    def log_probs(self, encoded: Sequence[Any], budget: int, meter: Meter) -> FloatArray:
+        """Sum of log probabilities (nats) of each encoded sentence."""
+        ...
+
+
+class SentenceScorer:
+    """Implements :class:`roomtables.scorer.Scorer`; made by :func:`roomtables.lm.load_scorer`."""
+
+    def __init__(
+        self,
+        backend: Backend,
+        *,
+        scorer_id: str,
+        provenance: Mapping[str, str],
+        token_budget: int,
+        threads: int,
+        progress: bool = False,
+    ) -> None:
+        self.backend = backend
+        self.token_budget = token_budget
+        self.threads = threads
+        self.progress = progress
+        self.window = min(_LARGEST_WINDOW, max(256, _SENTENCES_PER_TOKEN * token_budget))
+        self._scorer_id = scorer_id
+        self._provenance = dict(provenance)
+
+    @property
+    def scorer_id(self) -> str:
+        """Names the scorer up to everything that changes a score; a folder's name."""
+        return self._scorer_id
+
+    @property
+    def strategy(self) -> str:
+        """The path in use: ``trie``, ``kv``, ``padded``, ``naive`` or ``masked``."""
+        return self.backend.strategy
+
+    def describe(self) -> Mapping[str, str]:
+        """Provenance for a manifest: model, revision, dtype, device, strategy, versions."""
+        return dict(self._provenance)
+
+    def score(self, sentences: Sequence[str]) -> list[SentenceScore]:
+        """Scores in the order given; see :class:`roomtables.scorer.Scorer`."""
+        return list(self.score_stream(sentences))
+
+    def score_stream(
+        self, sentences: Iterable[str], *, total: int | None = None
+    ) -> Iterator[SentenceScore]:
+        """One score per sentence, in order, lazily and in bounded memory.
+
+        ``total`` is the number of sentences, for the estimate of the time left; read from
+        ``sentences`` where it has a length.
+        """
+        if total is None and isinstance(sentences, Sized):
+            total = len(sentences)
+        stream = iter(sentences)
+        meter = Meter(total, self.progress)
+        try:
+            while window := list(islice(stream, self.window)):
+                yield from self._score_window(window, meter)
+        finally:
+            meter.close()
+
+    def _score_window(self, window: list[str], meter: Meter) -> list[SentenceScore]:
+        unique = list(dict.fromkeys(window))
+        encoded = self.backend.encode(unique)
+        counts = [self.backend.token_count(item) for item in encoded]
+        meter.begin(len(window), sum(counts))
+        with using_threads(self.threads):
+            log_probs = self._log_probs(encoded, meter)
+        bad = np.flatnonzero(~np.isfinite(log_probs))
+        if len(bad):
+            raise ModelError(
+                f"{self.scorer_id} gives {quoted(unique[bad[0]])} a log probability of "
+                f"{log_probs[bad[0]]}; try --dtype float32, or another --model"
+            )
+        meter.finish()
+        scores = map(SentenceScore, log_probs.tolist(), counts)
+        by_sentence = dict(zip(unique, scores, strict=True))
+        return [by_sentence[sentence] for sentence in window]
+
+    def _log_probs(self, encoded: Sequence[Any], meter: Meter) -> FloatArray:
+        """Score a window, with half the token budget whenever memory runs out."""
+        while True:
+            try:
+                return self.backend.log_probs(encoded, self.token_budget, meter)
+            except (torch.cuda.OutOfMemoryError, RuntimeError, MemoryError) as error:
+                if not _out_of_memory(error):
+                    raise
+                if self.token_budget <= SMALLEST_BUDGET:
+                    raise ModelError(
+                        f"{self.scorer_id} runs out of memory even at {self.token_budget} tokens "
+                        "a pass; try --dtype float16, or a smaller --model"
+                    ) from error
+            self.token_budget = max(SMALLEST_BUDGET, self.token_budget // 2)
+            _log.warning("out of memory: going on with %d tokens a pass", self.token_budget)
+            if torch.cuda.is_available():
+                torch.cuda.empty_cache()
+
+
+def _out_of_memory(error: Exception) -> bool:
+    if isinstance(error, torch.cuda.OutOfMemoryError | MemoryError):
+        return True
+    return "can't allocate memory" in str(error) or "not enough memory" in str(error)
+
+
+# Below this many parameters a matrix product is shorter than the wait for a second thread: one
+# thread is as fast on an idle machine, and over ten times as fast where another process is busy.
+_WORTH_SHARING = 20_000_000
+
+
+def threads_for(parameters: int, device: str) -> int:
+    """Threads for a model of this size: the same on every run, so that scores are too."""
+    return 1 if device == "cpu" and parameters < _WORTH_SHARING else torch.get_num_threads()
+
+
+@contextmanager
+def using_threads(count: int) -> Iterator[None]:
+    """Run torch with ``count`` threads for a while."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,167 @@
+"""Manners with files: errors in one line, no links that lead elsewhere, names that are text."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import logging
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from roomtables.errors import StoreError
+
+_ADVICE = {
+    errno.ENOSPC: "free some space, then run the command again: what is scored is kept",
+    errno.EDQUOT: "free some space, then run the command again: what is scored is kept",
+    errno.EFBIG: "allow bigger files (`ulimit -f`), then run the command again",
+}
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Turn what a file system refuses into one line that names the file.
+
+    Raises
+    ------
+    StoreError
+        Something in the folder cannot be read or written.
+    """
+    try:
+        yield
+    except OSError as error:
+        where = error.filename or folder
+        advice = _ADVICE.get(error.errno or 0, "see that the folder is writable, or use `--tables`")
+        raise StoreError(f"cannot write {where}: {error.strerror or error}; {advice}") from error
+
+
+def refuse_outside(root: Path, *paths: Path) -> None:
+    """Refuse symbolic links that lead out of a folder.
+
+    Raises
+    ------
+    StoreError
+        A path, links followed, is not inside ``root``.
+    """
+    top = root.resolve()
+    for path in paths:
+        if path.is_symlink() and not path.resolve().is_relative_to(top):
+            raise StoreError(
+                f"{path} is a symbolic link out of {root}; replace it by a copy, then try again"
+            )
+
+
+def check_name(path: Path) -> None:
+    """Refuse a path that is not text: it can be neither printed nor written into a manifest.
+
+    Raises
+    ------
+    StoreError
+        The path's bytes are not UTF-8.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        shown = str(path).encode(errors="backslashreplace").decode()
+        raise StoreError(f"{shown} is not a UTF-8 name; rename it, then try again") from error
+
+
+log = logging.getLogger(__name__)
+_LOCK = ".build-lock"
+
+
+def utc_now() -> str:
+    """The time, in UTC, as ISO 8601 to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@contextmanager
+def build_lock(tables: Path, wait: bool = False) -> Iterator[None]:
+    """Hold the one writer's lock of a tables folder.
+
+    Raises
+    ------
+    StoreError
+        The folder cannot be written, or another process holds the lock and ``wait`` is false.
+    """
+    check_name(tables)
+    path = tables / _LOCK
+    try:
+        tables.mkdir(parents=True, exist_ok=True)
+        refuse_outside(tables, path)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise StoreError(
+            f"cannot write to {tables}: {error.strerror}; choose another with `--tables DIR`"
+        ) from error
+    try:
+        _acquire(descriptor, tables, wait)
+        _note(descriptor, f"process {os.getpid()} on {socket.gethostname()} since {utc_now()}\n")
+        yield
+        _note(descriptor, "")
+    finally:
+        os.close(descriptor)
+
+
+def _acquire(descriptor: int, tables: Path, wait: bool) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return
+    except BlockingIOError:
+        holder = os.pread(descriptor, 200, 0).decode(errors="replace").strip() or "another process"
+    except OSError as error:
+        raise StoreError(
+            f"{tables} cannot be locked: {error.strerror}; use a file system with flock"
+        ) from error
+    if not wait:
+        raise StoreError(
+            f"{tables} is being built by {holder}; wait for it with `roomtables build --wait`"
+        )
+    log.warning("%s is being built by %s; waiting for it", tables, holder)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+
+
+def _note(descriptor: int, text: str) -> None:
+    """Say who holds the lock; a full disk must not keep anyone from building what fits."""
+    try:
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, text.encode(), 0)
+    except OSError:
+        log.debug("the lock's holder could not be noted")
+
+
+@contextmanager
+def held(*folders: Path) -> Iterator[None]:
+    """Keep `gc` from removing these folders' files while they are read; needs no right to write."""
+    with ExitStack() as stack:
+        for folder in folders:
+            try:
+                descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            except OSError:
+                continue
+            stack.callback(os.close, descriptor)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_SH)
+            except OSError:  # a file system without locks: two versions are kept anyway
+                log.debug("%s cannot be locked for reading", folder)
+        yield
+
+
+def is_held(folder: Path) -> bool:
+    """Whether a reader holds a folder."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
+    return False

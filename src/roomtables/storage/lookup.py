@@ -1,0 +1,237 @@
+"""The mapped lookup: what a decision needs of a published version, as memory-mapped arrays.
+
+A folder ``lookup/`` holds ``lookup.json`` (labels, spellings, template, and the array files with
+their sizes and hashes) and, per source, arrays of a fixed layout. It is read with numpy alone.
+
+What an open verifies: the hash of ``lookup.json`` and of the label list against the manifest; the
+whole content of small arrays; of large ones the size, the header, and pages sampled throughout.
+That finds a truncated file and one swapped for another. Flipped bits between the sampled pages are
+found by ``verify=True``, which reads everything.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import mmap
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roomtables.errors import StoreError
+from roomtables.labels import ObjectLabel, RoomLabel
+
+INDEX = "lookup.json"
+# Arrays: dtypes allowed, and number of dimensions. Scores in half precision are held as the
+# distance to the row's maximum, and come with the maxima.
+ARRAYS: Mapping[str, tuple[tuple[str, ...], int]] = {
+    "entropy": (("<f8",), 1),
+    "ranks": (("<i4",), 1),
+    "room_logits": (("<f8",), 2),
+    "bias": (("<f8",), 1),
+    "keys": (("<u8",), 1),
+    "scores": (("<f4", "<f2"), 2),
+    "maxima": (("<f4",), 1),
+}
+OPTIONAL = ("maxima",)
+
+_SMALL = 1 << 20  # bytes of a file that is read and hashed whole on every open
+_PAGE = 4096
+_SAMPLED_PAGES = 32
+_BEYOND_MEMORY = 1 << 30  # bytes of a file for which the system shall not read ahead
+
+
+def key_bits(k: int) -> int:
+    """Bits of a key that one of its ``k`` objects takes (21 for k = 3)."""
+    return 63 // k
+
+
+def pack_keys(ranks: NDArray[np.int64], k: int) -> NDArray[np.uint64]:
+    """Keys of combinations: ranks ``[n, k]``, ascending, 0 behind the last object → ``[n]``."""
+    keys = np.zeros(len(ranks), np.uint64)
+    for column in range(k):
+        keys = (keys << np.uint64(key_bits(k))) | ranks[:, column].astype(np.uint64)
+    return keys
+
+
+def unpack_ranks(keys: NDArray[np.uint64], k: int) -> NDArray[np.int64]:
+    """Ranks ``[n, k]`` of keys ``[n]``; 0 behind the last object."""
+    bits = key_bits(k)
+    mask = np.uint64((1 << bits) - 1)
+    columns: Sequence[NDArray[np.uint64]] = [
+        (keys >> np.uint64(bits * (k - 1 - column))) & mask for column in range(k)
+    ]
+    return np.stack(columns, axis=1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class SourceArrays:
+    """One source's arrays; objects and rooms in label order, R⁺ = predicted rooms.
+
+    Attributes
+    ----------
+    entropy : ``[objects]``, nats
+    ranks : ``[objects]``, 1 = most informative
+    room_logits : ``[objects, rooms]``, nats: S(o, r) of a proxy, log p(r | o) of counts
+    bias : ``[R⁺]``, b in nats
+    keys : ``[combinations]``, sorted
+    scores : ``[combinations, R⁺]``, nats: S of the query sentences; in float16, S − the row's max
+    maxima : ``[combinations]``, nats: the maxima taken from float16 scores; else ``None``
+    """
+
+    entropy: NDArray[np.float64]
+    ranks: NDArray[np.int32]
+    room_logits: NDArray[np.float64]
+    bias: NDArray[np.float64]
+    keys: NDArray[np.uint64]
+    scores: NDArray[np.float32] | NDArray[np.float16]
+    maxima: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Lookup:
+    """An opened lookup folder."""
+
+    objects: tuple[ObjectLabel, ...]
+    rooms: tuple[RoomLabel, ...]
+    object_aliases: Mapping[str, str]
+    room_aliases: Mapping[str, str]
+    k: int
+    template: str
+    reduction: str
+    sources: Mapping[str, SourceArrays]
+
+    @classmethod
+    def open(cls, folder: Path, manifest: Mapping[str, Any], verify: bool = False) -> Lookup:
+        """Map the arrays of a lookup folder.
+
+        Parameters
+        ----------
+        folder : the lookup folder of a version
+        manifest : the version's manifest, which names the hashes of the index and the label list
+        verify : read and hash every byte
+
+        Raises
+        ------
+        StoreError
+            A file is missing, truncated, swapped for another, not of the layout, or of another
+            label space.
+        """
+        try:
+            return cls._open(folder, manifest, verify)
+        except OSError as error:
+            raise StoreError(
+                f"cannot read {error.filename or folder}: {error.strerror}; run `roomtables build`"
+            ) from error
+        except (ValueError, KeyError, TypeError, IndexError, EOFError) as error:
+            raise StoreError(
+                f"{folder} is damaged ({error}); run `roomtables build --full-refresh`"
+            ) from error
+
+    @classmethod
+    def _open(cls, folder: Path, manifest: Mapping[str, Any], verify: bool) -> Lookup:
+        content = (folder / INDEX).read_bytes()
+        if hashlib.sha256(content).hexdigest() != manifest["lookup"]["sha256"]:
+            raise ValueError(f"{INDEX} is not the one that the manifest names")
+        index = json.loads(content)
+        objects = tuple(ObjectLabel(label, plural) for label, plural in index["objects"])
+        rooms = tuple(RoomLabel(r, article, (), p) for r, article, p in index["rooms"])
+        listed = label_list([o.label for o in objects], [r.label for r in rooms])
+        if listed != manifest["label_list"]:
+            raise ValueError("its labels are not those that the manifest lists")
+        shape = (len(objects), len(rooms), sum(room.predicted for room in rooms))
+        return cls(
+            objects,
+            rooms,
+            index["object_aliases"],
+            index["room_aliases"],
+            index["k"],
+            index["template"],
+            index["reduction"],
+            {
+                source: _open_source(folder, files, shape, verify)
+                for source, files in index["sources"].items()
+            },
+        )
+
+
+def label_list(objects: Sequence[str], rooms: Sequence[str]) -> dict[str, Any]:
+    """The label list of a manifest: ``objects``, ``rooms``, and the ``sha256`` of both."""
+    lists = {"objects": list(objects), "rooms": list(rooms)}
+    text = json.dumps(lists, sort_keys=True, ensure_ascii=False)
+    return lists | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def sampled_sha256(file: BinaryIO, size: int) -> str:
+    """SHA-256 of pages spread evenly over a file, its first and last among them."""
+    digest = hashlib.sha256()
+    last = max(size - _PAGE, 0)
+    for sample in range(_SAMPLED_PAGES):
+        digest.update(os.pread(file.fileno(), _PAGE, last * sample // (_SAMPLED_PAGES - 1)))
+    return digest.hexdigest()
+
+
+def _open_source(
+    folder: Path, files: Mapping[str, Any], shape: tuple[int, int, int], verify: bool
+) -> SourceArrays:
+    names = [name for name in ARRAYS if name in files or name not in OPTIONAL]
+    arrays = {name: _open_array(folder, files[name], name, verify) for name in names}
+    found = SourceArrays(**arrays)
+    objects, rooms, predicted = shape
+    fits = (
+        len(found.entropy) == len(found.ranks) == objects
+        and found.room_logits.shape == (objects, rooms)
+        and len(found.bias) == predicted
+        and found.scores.shape == (len(found.keys), predicted)
+        and (found.maxima is not None) == (found.scores.dtype == np.float16)
+        and (found.maxima is None or len(found.maxima) == len(found.keys))
+    )
+    if not fits:
+        raise ValueError("its arrays do not fit each other or the labels")
+    return found
+
+
+def _open_array(folder: Path, listed: Mapping[str, Any], name: str, verify: bool) -> NDArray[Any]:
+    path = folder / listed["file"]
+    size: int = listed["bytes"]
+    array: NDArray[Any] | None = None
+    with path.open("rb") as file:
+        if os.fstat(file.fileno()).st_size != size:
+            raise ValueError(f"{path.name} has not the {size} bytes that it was written with")
+        if size <= _SMALL:
+            content = file.read()
+            if hashlib.sha256(content).hexdigest() == listed["sha256"]:
+                array = np.load(io.BytesIO(content), allow_pickle=False)
+        else:
+            good = sampled_sha256(file, size) == listed["sample_sha256"]
+            if good and verify:
+                good = hashlib.file_digest(file, "sha256").hexdigest() == listed["sha256"]
+            if good:
+                array = _map(file, size)
+    if array is None:
+        raise ValueError(f"{path.name} is not the file that it was written as")
+    dtypes, dimensions = ARRAYS[name]
+    if array.dtype.str not in dtypes or array.ndim != dimensions:
+        raise ValueError(f"{path.name} is not an array of {' or '.join(dtypes)}")
+    return array
+
+
+def _map(file: BinaryIO, size: int) -> NDArray[Any]:
+    """A read-only array over the file's pages; it outlives the file's removal."""
+    file.seek(0)
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError(f"{file.name} is not of .npy format 1.0")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    if fortran or dtype.hasobject:
+        raise ValueError(f"{file.name} is not a plain array")
+    pages = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    if size > _BEYOND_MEMORY and hasattr(mmap, "MADV_RANDOM"):
+        pages.madvise(mmap.MADV_RANDOM)
+    array: NDArray[Any] = np.frombuffer(pages, dtype, offset=file.tell()).reshape(shape)
+    return array

@@ -1,0 +1,135 @@
+"""SQL over the published tables: every table a view, nothing to write.
+
+``pipeline/views`` holds further views, ``pipeline/macros`` functions that return tables. Their
+first comment line is what they are described as.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from roomtables.config import pipeline_folder
+from roomtables.errors import InputError
+from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES
+from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.versions import Version
+
+
+def _literal(text: Path | str) -> str:
+    return "'" + str(text).replace("'", "''") + "'"
+
+
+def connect(tables: Path, version: Version, database: Path | str = ":memory:") -> Any:
+    """A DuckDB connection with a view for every table of the version, and the macros.
+
+    Files outside the tables folder cannot be read, and settings cannot be changed. ``database`` is
+    a new file to hold the views for another program; the tables stay where they are.
+    """
+    import duckdb
+
+    connection = duckdb.connect(str(database))
+    for name in VERSION_TABLES:
+        path = version.path.resolve() / f"{name}.parquet"
+        _view(
+            connection,
+            name,
+            f"select * from read_parquet({_literal(path)})",
+            TABLE_BY_NAME[name].grain,
+        )
+    _sentence_scores(connection, tables)
+    _misses(connection, version)
+    for path in _in_order(pipeline_folder() / "views"):
+        text = path.read_text(encoding="utf-8")
+        _view(connection, path.stem, text, _described(text))
+    for path in sorted((pipeline_folder() / "macros").glob("*.sql")):
+        connection.execute(path.read_text(encoding="utf-8"))
+    connection.execute(f"set allowed_directories = [{_literal(tables.resolve())}]")
+    connection.execute("set enable_external_access = false")
+    connection.execute("set lock_configuration = true")
+    return connection
+
+
+def guide(connection: Any) -> list[dict[str, str]]:
+    """Every view and macro, and what it holds: one row per name."""
+    views = connection.execute(
+        "select view_name, comment from duckdb_views() where not internal order by 1"
+    ).fetchall()
+    rows = [{"name": name, "holds": comment or ""} for name, comment in views]
+    for path in sorted((pipeline_folder() / "macros").glob("*.sql")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        call, meaning = (line.removeprefix("-- ").rstrip(":") for line in lines[:2])
+        rows.append({"name": call, "holds": meaning})
+    return rows
+
+
+def _view(connection: Any, name: str, query: str, comment: str) -> None:
+    connection.execute(f"create view {name} as {query}")
+    connection.execute(f"comment on view {name} is {_literal(comment)}")
+
+
+def _described(text: str) -> str:
+    return text.splitlines()[0].removeprefix("-- ").rstrip(".")
+
+
+def _in_order(folder: Path) -> list[Path]:
+    """The views, those that another one reads before it."""
+    texts = {path: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.sql"))}
+    ordered: list[Path] = []
+    while texts:
+        ready = [
+            path
+            for path, text in texts.items()
+            if not any(other.stem in text.split() for other in texts if other != path)
+        ]
+        for path in ready or list(texts):
+            ordered.append(path)
+            del texts[path]
+    return ordered
+
+
+def _sentence_scores(connection: Any, tables: Path) -> None:
+    from roomtables.storage.score_parts import SCORES, all_parts, live_parts  # brings pyarrow
+
+    folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
+    parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
+    table = TABLE_BY_NAME["sentence_scores"]
+    empty = ", ".join(f"null::{c.type} as {c.name}" for c in table.columns)
+    files = ", ".join(_literal(part.resolve()) for part in parts)
+    held = f"select * from read_parquet([{files}])" if parts else f"select {empty} where false"
+    _view(connection, table.name, held, table.grain)
+
+
+def _misses(connection: Any, version: Version) -> None:
+    """The misses that no build has taken in."""
+    import pyarrow as pa
+
+    types = {"source": pa.string(), "objects": pa.list_(pa.string()), "times_asked": pa.int64()}
+    schema = pa.schema([*types.items(), ("last_asked", pa.timestamp("us"))])
+    found = Misses.read(version.path.parent / FOLDER).open
+    rows = [miss._asdict() | {"last_asked": miss.last_asked.replace(tzinfo=None)} for miss in found]
+    connection.register("noted", pa.Table.from_pylist(rows, schema))
+    connection.execute("create table noted_misses as select * from noted")
+    connection.unregister("noted")
+    _view(connection, "misses", "select * from noted_misses", TABLE_BY_NAME["misses"].grain)
+
+
+def select(connection: Any, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """Column names and rows of one reading statement.
+
+    Raises
+    ------
+    InputError
+        The query is wrong, is more than one statement, or would write.
+    """
+    import duckdb
+
+    try:
+        statements = connection.extract_statements(query)
+        if [statement.type for statement in statements] != [duckdb.StatementType.SELECT]:
+            raise InputError("SQL must be one statement that reads: select, from, describe, show")
+        result = connection.execute(query)
+        return [column[0] for column in result.description], result.fetchall()
+    except duckdb.Error as error:
+        text = " ".join(str(error).split())
+        raise InputError(f'SQL: {text}; `roomtables sql "show tables"` lists the tables') from error

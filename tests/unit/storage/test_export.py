@@ -1,0 +1,160 @@
+"""An archive for a robot opens like the tables it came from, and answers the same."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import tarfile
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from roomtables import RoomTables, build
+from roomtables.cli import main
+from roomtables.errors import InputError, StoreError
+from roomtables.storage.export import export
+from roomtables.storage.lookup_writer import halve
+from roomtables.storage.versions import SpaceFolder
+from support import HashScorer, small_space, write_space
+
+EVERY = [
+    list(names)
+    for size in (1, 2, 3, 4)
+    for names in combinations(["bed", "sink", "stove", "toilet"], size)
+]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("export")
+    counts = root / "counts.csv"
+    counts.write_text("object,room,count\nbed,bedroom,3\nsink,kitchen,2\n", encoding="utf-8")
+    labels = str(write_space(root / "labels", small_space()))
+    build(tables=root / "tables", scorer=HashScorer(), labels=labels, counts=counts)
+    return root / "tables"
+
+
+def unpack(archive: Path, folder: Path) -> Path:
+    content = archive.read_bytes()
+    if archive.name.endswith(".zst"):
+        content = pa.CompressedInputStream(pa.BufferReader(content), "zstd").read()
+    with tarfile.open(fileobj=io.BytesIO(content)) as members:
+        assert members.getnames()[-1].endswith("CURRENT")  # so that a reader sees all or nothing
+        members.extractall(folder, filter="data")
+    return folder
+
+
+@pytest.mark.parametrize("name", ["robot.tar.zst", "robot.tar.gz", "robot.tar"])
+@pytest.mark.parametrize("float16", [False, True])
+def test_an_unpacked_archive_answers_the_same(
+    tables: Path, tmp_path: Path, name: str, float16: bool
+) -> None:
+    sizes = export(tables, "small", tmp_path / name, float16)
+    assert [(s.source, s.combinations, s.rooms) for s in sizes] == [
+        ("ground_truth", 14, 3), ("proxy", 14, 3)
+    ]  # fmt: skip
+    folder = unpack(tmp_path / name, tmp_path / "robot")
+    SpaceFolder(folder / "tables", "small").current().verify()
+    for source in ("proxy", "ground_truth"):
+        for rule in ("query", "calibrated", "pooled"):
+            here = RoomTables.open(tables, "small", source=source, rule=rule, verify=True)
+            there = RoomTables.open(folder, "small", source=source, rule=rule, verify=True)
+            pairs = zip(here.classify_many(EVERY), there.classify_many(EVERY), strict=True)
+            for names, (one, other) in zip(EVERY, pairs, strict=True):
+                assert one.objects == other.objects
+                assert one.probabilities == pytest.approx(other.probabilities, abs=1e-3)
+                assert there.classify(names).as_json() == other.as_json()
+                if rule != "calibrated":
+                    assert one.room == other.room
+
+
+def test_archives_hold_nothing_of_this_machine_and_do_not_change(
+    tables: Path, tmp_path: Path
+) -> None:
+    for name in ("a.tar", "b.tar"):
+        export(tables, "small", tmp_path / name)
+    assert (tmp_path / "a.tar").read_bytes() == (tmp_path / "b.tar").read_bytes()
+    with tarfile.open(tmp_path / "a.tar") as members:
+        assert {(m.uid, m.gid, m.uname, m.gname) for m in members} == {(0, 0, "", "")}
+
+
+@given(
+    arrays.arrays(
+        np.float32,
+        st.tuples(st.integers(1, 20), st.integers(1, 8)),
+        elements=st.floats(-1e6, 0, width=32) | st.floats(-40, -40 + 2**-10, width=32),
+    )
+)
+def test_halving_flips_no_argmax(scores: np.ndarray) -> None:
+    halves, maxima = halve(scores)
+    restored = halves.astype(np.float64) + maxima[:, np.newaxis]
+    assert halves.dtype == np.float16
+    assert np.isfinite(halves).all()
+    np.testing.assert_array_equal(restored.argmax(axis=1), scores.argmax(axis=1))
+    distances = scores.astype(np.float64) - maxima[:, np.newaxis]
+    close = distances > -65504
+    np.testing.assert_allclose(
+        halves[close].astype(np.float64), distances[close], rtol=2**-10, atol=2**-23
+    )
+
+
+def test_half_precision_is_half_the_size(tables: Path, tmp_path: Path) -> None:
+    export(tables, "small", tmp_path / "half.tar", float16=True)
+    folder = unpack(tmp_path / "half.tar", tmp_path / "robot") / "tables"
+    scores = RoomTables.open(folder, "small").lookup.sources["proxy"].scores
+    assert scores.dtype == np.float16
+    sizes = export(folder, "small", tmp_path / "again.tar", float16=True)  # of an export
+    assert sizes[0].combinations == 14
+
+
+def test_the_command_says_the_size_of_each_source(tables: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "robot.tar.zst"
+    command = ["export", "-o", str(archive), "--tables", str(tables), "--labels", "small"]
+    lines = CliRunner().invoke(main, command).output.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["ground_truth", "proxy", str(archive)]
+    assert "14 combinations x 3 rooms" in lines[0]
+
+
+def test_bad_requests_leave_nothing_behind(tables: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.tar\.zst"):
+        export(tables, "small", tmp_path / "robot.zip")
+    with pytest.raises(StoreError, match="no tables for nowhere"):
+        export(tables, "nowhere", tmp_path / "robot.tar")
+    with pytest.raises(StoreError, match="cannot write"):
+        export(tables, "small", tmp_path / "no" / "such" / "folder.tar")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_zstd_tools_read_the_archive(tables: Path, tmp_path: Path) -> None:
+    export(tables, "small", tmp_path / "robot.tar.zst")
+    ran = subprocess.run(
+        ["tar", "--zstd", "-tf", str(tmp_path / "robot.tar.zst")], capture_output=True, text=True
+    )
+    if ran.returncode and "zstd" in ran.stderr:
+        pytest.skip("there is no zstd program here")
+    assert "tables/small/CURRENT" in ran.stdout.split()
+
+
+def test_a_robot_without_pyarrow_reads_what_was_unpacked(tables: Path, tmp_path: Path) -> None:
+    export(tables, "small", tmp_path / "robot.tar", float16=True)
+    unpack(tmp_path / "robot.tar", tmp_path / "robot")
+    code = (
+        "import sys\n"
+        "for name in ('pyarrow', 'duckdb', 'torch', 'transformers'): sys.modules[name] = None\n"
+        "from roomtables import RoomTables\n"
+        "print(RoomTables.open(sys.argv[1], 'small').classify(['sink']).room)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "robot")]
+    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    assert found == RoomTables.open(tables, "small").classify(["sink"]).room
+    manifest = json.loads(next(tmp_path.rglob("manifest.json")).read_text(encoding="utf-8"))
+    assert all(name.startswith("lookup/") for name in manifest["files"])
