@@ -36,3 +36,9 @@ class MissingExtraError(RoomtablesError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs an extra; run `pip install 'roomtables[{extra}]'`")
+
+
+def first_line(error: BaseException) -> str:
+    """What an exception of another package says, in one line of at most 200 characters."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines or [type(error).__name__])[0][:200]
