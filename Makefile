@@ -1,12 +1,15 @@
-# Two commands do everything on a fresh machine: `make demo` and `make test`.
+# Two commands do everything on a fresh machine: `make demo` and `make test`. `make test` runs all
+# tests but those marked slow, of which it runs a small version; `make test-slow` runs those whole.
 
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 EXAMPLE := src/roomtables/examples/house.jsonl
 DEMO   := $(VENV)/demo-tables
+# Which slow tests `make test-slow` runs: all, or the files and options given.
+SLOW   ?=
 
-.PHONY: demo test lint household-lm bench clean
+.PHONY: demo test test-slow lint household-lm clean
 
 demo: $(VENV)/.installed-lm
 	@echo "== build: p(room | object) for mpcat40, and the combinations that the example needs"
@@ -19,8 +22,12 @@ demo: $(VENV)/.installed-lm
 	$(BIN)/roomtables sql --tables $(DEMO) \
 	  "select object, entropy_nats from entropy where source = 'proxy' order by rank limit 5"
 
+# Where no test is collected, pytest exits with 5, and so make fails.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m slow --durations=0 $(SLOW)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -28,7 +35,7 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# Reproduces the embedded model: hours on a CPU. See pipeline/household_lm/.
+# Trains a model as the embedded one was: up to an hour on a CPU. See pipeline/household_lm/.
 household-lm: $(VENV)/.installed-dev
 	$(BIN)/python -m pipeline.household_lm.train
 
