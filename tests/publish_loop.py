@@ -1,6 +1,8 @@
-"""Readers that open and classify while a writer publishes: each answer of one whole generation.
+"""Processes that open tables and classify while another publishes version after version.
 
-Run as a script for a longer look: ``python tests/publish_loop.py [SECONDS]``.
+Every version has a number, its generation, which decides all that it holds; so a reader can tell
+whether what it opened is one version or a mixture of two. Run as a script for a longer look:
+``python tests/publish_loop.py [SECONDS]``.
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ from roomtables.storage.versions import LOOKUP, SpaceFolder
 OBJECTS = ("bed", "lamp", "sink")
 ROOMS = ("bathroom", "bedroom", "kitchen", "office", "yard")
 READERS = 4
-_PADDING = 60_000  # rows beside those that are asked for, so that the files are mapped
+_PADDING = 60_000  # further rows, so that the files are large enough to be mapped
 
 
 def publish(tables: Path, generation: int) -> None:
-    """A version whose every combination is answered by room ``generation`` modulo their number.
+    """Publish a version that answers every combination with room number ``generation`` modulo 5.
 
-    The generation is also in the manifest, in the bias, and in S of single objects.
+    So do its scores of single objects; the manifest and the bias hold the generation itself.
     """
     space = LabelSpace.named("loop", OBJECTS, ROOMS)
     folder = SpaceFolder(tables, space.name)
@@ -74,7 +76,10 @@ def publish(tables: Path, generation: int) -> None:
 
 
 def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:
-    """Open and classify until told to stop; put (opens, generations seen, what went wrong)."""
+    """Open and classify until ``stop`` is set.
+
+    Puts into ``results``: how often it opened, how many generations it saw, what was wrong.
+    """
     opens, seen, wrong = 0, set(), []
     ready.release()
     while not stop.is_set():
@@ -97,7 +102,7 @@ def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:
 
 
 def race(seconds: float) -> dict[str, Any]:
-    """A writer in a tight loop against readers in processes of their own."""
+    """Publish for some seconds while ``READERS`` processes read; returns what they saw."""
     context = multiprocessing.get_context("spawn")
     ready, stop, results = context.Semaphore(0), context.Event(), context.Queue()
     with tempfile.TemporaryDirectory() as folder:

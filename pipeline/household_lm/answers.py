@@ -1,7 +1,7 @@
 """What a room's name should be, given the objects before it: the generator's own posterior.
 
-A corpus shows one name, drawn from p(room | objects). Training against that distribution
-instead of the drawn name has the same expectation and far less variance.
+A document holds one name, drawn from p(room | objects). Training against that distribution
+instead of the drawn name has the same expected gradient and less variance.
 """
 
 from __future__ import annotations

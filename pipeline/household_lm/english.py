@@ -1,7 +1,7 @@
-"""Number, articles, and lists for the corpus: what a noun looks like in a sentence.
+"""Number, articles, and lists: the forms of the corpus's nouns.
 
 Plurals and articles are those of ``roomtables.english``, so that the corpus spells a noun as
-the scored sentences do; uncountable nouns, which a label does not show, are named here.
+the scored sentences do; uncountable nouns, which no rule finds, are listed here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the corpus knows: rooms and objects, read from ``knowledge/`` and checked."""
+"""Rooms and objects, read from ``knowledge/``; ``check_knowledge`` checks those files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Thing:
     synonyms: tuple[str, ...]
 
     def called(self) -> list[tuple[str, float]]:
-        """Every name that the object goes by, with how often it does."""
+        """Every name of the object, with its share of the object's mentions."""
         if not self.synonyms:
             return [(self.name, 1.0)]
         share = SYNONYM_SHARE / len(self.synonyms)

@@ -42,7 +42,7 @@ class Writer:
         self.answers: list[Answer] = []
 
     def document(self) -> str:
-        """Write one document; what it asks of the reader is then in ``answers``."""
+        """Write one document; with ``mark``, its answers are then in ``answers``."""
         self.answers = []
         kind = self.rng.choices(list(DOCUMENTS), list(DOCUMENTS.values()))[0]
         return str(getattr(self, f"_{kind}")())
@@ -58,9 +58,9 @@ class Writer:
         return render(frame, scene.fill, self.rng, self._noise() if not room else str)
 
     def _noise(self) -> Callable[[str], str]:
-        """Mostly nothing; else replace words of the frame, which then say nothing of the room.
+        """What becomes of the frame's own words: mostly nothing, else some are replaced at random.
 
-        A model that has learned so keeps to the objects in a sentence of a kind it never read.
+        So a model learns to go by the objects also in a sentence whose words it has not read.
         """
         if self.rng.random() >= NOISE_SHARE:
             return str

@@ -1,7 +1,7 @@
-"""Documents to training batches: generated chunk by chunk, tokenised, packed, never mixed.
+"""Documents to training batches: generated chunk by chunk, tokenised, and packed into rows.
 
-Several documents share a row, but none sees another: each starts at position 0 after its own
-BOS, as a sentence does when it is scored.
+Several documents share a row, but the mask keeps each from attending to another: each starts at
+position 0 with its own BOS, as a sentence does when it is scored.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ Document = tuple[list[int], list[Target]]
 class Batch:
     """Rows of packed documents; every tensor is (rows, length), document -1 is padding.
 
-    ``answers`` are the places, in the flattened batch, from which a room's name is foretold,
-    with what its first token may be.
+    ``answers`` are the places, in the flattened batch, whose next token begins an answer, each
+    with the tokens that may stand there and their probabilities.
     """
 
     ids: torch.Tensor
@@ -55,7 +55,7 @@ class Batch:
 
 
 def train_tokenizer(facts: Facts, vocabulary: int, count: int = _TOKENIZER_DOCUMENTS) -> Tokenizer:
-    """Train a byte-level BPE tokenizer that puts BOS, and no EOS, around a sentence."""
+    """Train a byte-level BPE tokenizer that puts BOS before a sentence and nothing after it."""
     tokenizer = Tokenizer(models.BPE())
     tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
     tokenizer.decoder = decoders.ByteLevel()
@@ -131,7 +131,7 @@ def _tensors(rows: list[list[Document]], length: int) -> Batch:
             ids[index, at:end] = torch.tensor(text)
             positions[index, at:end] = torch.arange(len(text))
             numbers[index, at:end] = number
-            start = index * length + at - 1  # a token is foretold from the one before it
+            start = index * length + at - 1  # a token is predicted at the one before it
             answers += [(start + place, tokens, shares) for place, tokens, shares in targets]
             at = end
     return Batch(ids, positions, numbers, answers)

@@ -1,4 +1,4 @@
-"""How a training went: a CSV of measures, and a picture of it."""
+"""The measures of a training as a CSV, and a plot of them."""
 
 from __future__ import annotations
 

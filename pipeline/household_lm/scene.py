@@ -1,6 +1,6 @@
 """A scene: one room with some of its objects, and the words that fill a frame's slots.
 
-Where only the objects before it tell a room's name, the name can be marked as an answer.
+A name that follows from the objects (or the room) named before it can be marked as an answer.
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ _SETTINGS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """A name that what stands before it tells: its form, and the objects told.
+    """A name that is to be predicted from what stands before it.
 
-    Without a ``room`` it is a room's name; with one it is the name of an object in that room.
+    ``form`` is its number or article, ``told`` the objects named before. Without a ``room`` it is
+    a room's name; with one it is the name of an object in that room.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Train household-lm from nothing: `python -m pipeline.household_lm.train`.
 
-Stop it when you like; the same command goes on from the last checkpoint. At the end the averaged
-weights are exported in float16 to ``--output``.
+It may be stopped at any time; the same command goes on from the last checkpoint. At the end the
+averaged weights are exported in float16 to ``--output``.
 """
 
 from __future__ import annotations

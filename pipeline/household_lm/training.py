@@ -1,4 +1,4 @@
-"""One training of household-lm: its recipe, its checkpoint, its steps, and its measures."""
+"""One training of household-lm: its recipe, checkpoint, updates, and measures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Recipe:
 
     @property
     def steps(self) -> int:
-        """How many updates the tokens make."""
+        """How many updates the tokens are enough for."""
         return max(1, self.tokens // (self.rows * self.length))
 
 
@@ -190,7 +190,7 @@ def _is_inner(name: str, value: torch.Tensor) -> bool:
 
 
 def _rate(step: int, recipe: Recipe) -> float:
-    """Linear warm-up, then a linear way down to a hundredth."""
+    """The learning rate's factor: linear warm-up times linear decay to 0.01."""
     warm = min(1.0, (step + 1) / recipe.warmup_steps)
     return warm * max(0.01, 1 - step / recipe.steps)
 
@@ -208,7 +208,10 @@ def _logits(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
 
 
 def _loss(logits: torch.Tensor, batch: Batch, answer_weight: float) -> torch.Tensor:
-    """Mean over tokens; a room's name is weighted, and learned from its whole distribution."""
+    """Cross-entropy in nats per token.
+
+    At an answer it is taken against the answer's distribution, and weighted by ``answer_weight``.
+    """
     targets = batch.targets().flatten()
     places = torch.tensor([place for place, _, _ in batch.answers])
     plain = targets.clone()

@@ -1,7 +1,7 @@
 """The facts arranged for drawing: a room's name first, then objects by how typical they are.
 
-Every room's own name is drawn equally often, whatever the frame, so that no sentence has a
-taste in room names.
+Every room's own name is drawn equally often, and a synonym at 0.3 of that, so that how often a
+name is read says nothing of its room.
 """
 
 from __future__ import annotations
