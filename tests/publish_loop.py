@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roomtables import RoomTables
 from roomtables.config import BuildConfig
@@ -38,6 +39,17 @@ def publish(tables: Path, generation: int) -> None:
     """
     space = LabelSpace.named("loop", OBJECTS, ROOMS)
     folder = SpaceFolder(tables, space.name)
+    settings: dict[str, Any] = {"k": 3, "template": BuildConfig().template, "reduction": "sum"}
+    manifest = settings | _manifest(space) | {"generation": generation}
+    with folder.staging() as staging:
+        source = _source(generation)
+        manifest |= write_lookup(staging / LOOKUP, space, settings, {"proxy": source})
+        folder.publish(staging, folder.new_name("generate"), manifest)
+    folder.remove_old()
+
+
+def _source(generation: int) -> tuple[dict[str, NDArray[Any]], ScoreChunks]:
+    """What a lookup of a generation holds: its arrays, and the combinations' keys and scores."""
     room = generation % len(ROOMS)
     ranks = np.array([[1, 0, 0], [1, 2, 0], [1, 2, 3], [2, 0, 0], [3, 0, 0]])
     keys = np.concatenate(
@@ -47,32 +59,27 @@ def publish(tables: Path, generation: int) -> None:
     scores[:, room] = -10
     room_logits = np.full((len(OBJECTS), len(ROOMS)), -50.0)
     room_logits[:, room] = -10
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "entropy": np.array([0.1, 0.2, 0.3]),
         "ranks": np.array([1, 2, 3]),
         "room_logits": room_logits,
         "bias": np.full(len(ROOMS), float(generation)),
     }
-    config = BuildConfig()
-    settings: dict[str, Any] = {"k": 3, "template": config.template, "reduction": "sum"}
-    manifest = settings | {
+    return arrays, ScoreChunks(len(keys), len(ROOMS), [(keys, scores)])
+
+
+def _manifest(space: LabelSpace) -> dict[str, Any]:
+    """The manifest of a version that no build made, without its settings."""
+    decision = ("source", "rule", "prior_weight", "evidence_power")
+    return {
         "schema_version": SCHEMA_VERSION,
         "labels": space.name,
         "created": utc_now(),
-        "generation": generation,
         "scorer_id": "made-up",
         "query_scorer_id": "made-up",
         "model": {"model": "made-up"},
-        "decision": {
-            name: getattr(config, name)
-            for name in ("source", "rule", "prior_weight", "evidence_power")
-        },
+        "decision": {name: getattr(BuildConfig(), name) for name in decision},
     }
-    with folder.staging() as staging:
-        source = (arrays, ScoreChunks(len(keys), len(ROOMS), [(keys, scores)]))
-        manifest |= write_lookup(staging / LOOKUP, space, settings, {"proxy": source})
-        folder.publish(staging, folder.new_name("generate"), manifest)
-    folder.remove_old()
 
 
 def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:

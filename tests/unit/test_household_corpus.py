@@ -1,4 +1,4 @@
-"""The corpus of household-lm: what it must not say, and that it is what its seed says."""
+"""The corpus of household-lm: it lacks the query sentence, and its seed determines it."""
 
 from __future__ import annotations
 
