@@ -22,7 +22,7 @@ from roomtables.online.prediction import Prediction
 from roomtables.rooms import MEASURES, Room
 from roomtables.scenes.dsg_labels import NamedRoom
 from roomtables.schemas import RULES, SOURCES
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -184,8 +184,8 @@ class Namer:
     def __init__(self, tables: RoomTables) -> None:
         manifest = tables.version.manifest
         self._shared = {
-            "model": manifest["query_scorer_id"] or manifest["scorer_id"],
-            "labels": manifest["labels"],
+            "model": manifest.query_scorer_id or manifest.scorer_id,
+            "labels": manifest.labels,
             "version": tables.version.name,
             "roomtables": __version__,
         }

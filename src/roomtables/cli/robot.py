@@ -55,8 +55,7 @@ def misses_command(tables: Path, labels: str, format_: str, output: Path | None)
 )
 @tables_option
 @labels_option
-@click.option("--float16", is_flag=True, help="Half the size; the best rooms stay the same.")
-def export_command(output: Path, tables: Path, labels: str, float16: bool) -> None:
+def export_command(output: Path, tables: Path, labels: str) -> None:
     """Pack the published tables for a robot: what a lookup needs, in one archive.
 
     \b
@@ -66,7 +65,7 @@ def export_command(output: Path, tables: Path, labels: str, float16: bool) -> No
     """
     from roomtables.storage.export import export
 
-    for found in export(tables, Path(labels).name, output, float16):
+    for found in export(tables, Path(labels).name, output):
         click.echo(
             f"{found.source}: {found.combinations:,} combinations x {found.rooms} rooms, "
             f"{_megabytes(found.bytes)} unpacked"

@@ -36,7 +36,7 @@ from roomtables.scenes.reader import load_graph_document, read_scene, scene_file
 from roomtables.scenes.room_lists import read_true_rooms, with_true_rooms, write_nested
 from roomtables.scenes.scene import ReadOptions, Scene, SceneRoom
 from roomtables.scenes.sparkdsg import write_sparkdsg
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 scene_argument = click.argument("scene", type=click.Path(path_type=Path))
 graph_output_option = click.option(

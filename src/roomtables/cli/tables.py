@@ -129,7 +129,7 @@ def _plan_text(plan: Plan) -> str:
         f"{plan.labels}: {published}; model {plan.scorer_id or 'none'}\n\n"
         f"{render(rows, 'table')}\n"
         f"to score: {most}{plan.sentences_to_score:,} sentences{_cost(plan)}\n"
-        f"coverage: {cover.asked:,} of {cover.combinations:,} combinations"
+        f"coverage: {cover.held:,} of {cover.combinations:,} combinations"
         f"{_rest(cover.rest_sentences, cover.rest_seconds)}\n"
     )
 

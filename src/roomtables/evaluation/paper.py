@@ -104,7 +104,7 @@ def reproduce(columns: Sequence[tuple[RoomTables, Iterable[Room]]]) -> Reproduct
     trials: list[Trial] = []
     for tables, rooms in columns:
         held = list(rooms)
-        labels = tables.version.manifest["labels"]
+        labels = tables.version.manifest.labels
         for rule, source in CONDITIONS:
             if source not in tables.lookup.sources:
                 trials.append(Trial(labels, rule, source, None))

@@ -14,7 +14,7 @@ from typing import Any
 from roomtables.errors import InputError, MissingExtraError
 from roomtables.labels import normalise
 from roomtables.scenes.scene import Box, Scene, SceneRoom
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 _SUFFIXES = (".html", ".png", ".svg")
 _RIGHT, _WRONG, _UNTOLD = "#1b7f3b", "#c0392b", "#4a6fa5"

@@ -41,25 +41,23 @@ def report(tables: RoomTables, rooms: Iterable[Room] | str | Path | None = None)
     if rooms is not None:
         held = list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
         sections += _results(tables, held)
-    return html.page(f"roomtables: {tables.version.manifest['labels']}", sections)
+    return html.page(f"roomtables: {tables.version.manifest.labels}", sections)
 
 
 def _about(tables: RoomTables) -> Section:
     manifest = tables.version.manifest
-    decision, described = tables.decision, manifest["model"]["described"]
-    if not manifest["query_scorer_id"]:
-        described = {}
-    combinations = ", ".join(f"{n:,} for {name}" for name, n in manifest["combinations"].items())
+    decision, settings = tables.decision, manifest.settings
+    combinations = ", ".join(f"{n:,} for {name}" for name, n in manifest.combinations.items())
     rows: list[tuple[str, object]] = [
-        ("label space", manifest["labels"]),
-        ("version", f"{tables.version.name}, published {manifest['created']}"),
+        ("label space", manifest.labels),
+        ("version", f"{tables.version.name}, published {manifest.created.isoformat()}"),
         ("objects, rooms, predicted rooms",
-         f"{manifest['objects']}, {manifest['rooms']}, {manifest['predicted_rooms']}"),
-        ("scores from", manifest["scorer_id"]),
-        ("query sentences from", manifest["query_scorer_id"] or "no model"),
-        *((f"model: {key}", value) for key, value in sorted(described.items()) if value),
-        ("sentence", manifest["template"]),
-        ("reduction, k", f"{manifest['reduction']}, {manifest['k']}"),
+         f"{manifest.objects}, {manifest.rooms}, {manifest.predicted_rooms}"),
+        ("scores from", manifest.scorer_id),
+        ("query sentences from", manifest.query_scorer_id or "no model"),
+        *((f"model: {key}", value) for key, value in sorted(manifest.model.items()) if value),
+        ("sentence", " | ".join(settings.template)),
+        ("reduction, k", f"{settings.reduction}, {settings.k}"),
         ("combinations held", combinations or "none"),
         ("decision", _decision_text(decision)),
         *((f"installed: {name}", found) for name in _PACKAGES if (found := _installed(name))),

@@ -13,7 +13,7 @@ from roomtables.errors import InputError, MissingExtraError
 from roomtables.evaluation import Evaluation
 from roomtables.evaluation.comparison import Sweep, SweepPoint
 from roomtables.schemas import POOLED, PROXY
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 FORMATS = (".png", ".svg")
 _COLOURS = ("#4269d0", "#efb118", "#ff725c", "#6cc5b0", "#3ca951", "#ff8ab7", "#a463f2", "#97bbf5")

@@ -38,6 +38,20 @@ def writing(folder: Path) -> Iterator[None]:
         raise StoreError(f"cannot write {where}: {error.strerror or error}; {advice}") from error
 
 
+def write_aside(path: Path, data: bytes) -> None:
+    """Replace a file atomically: a reader sees the old content or the new, never a part."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with aside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(aside, path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+
+
 def refuse_outside(root: Path, *paths: Path) -> None:
     """Refuse symbolic links that lead out of a folder.
 
