@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,8 +30,8 @@ from roomtables.offline.tables import Reads, Tables
 from roomtables.offline.workspace import Workspace, WorkTable, workspace
 from roomtables.schemas import VERSION_TABLES
 from roomtables.scorer import Scorer
-from roomtables.storage.files import build_lock
-from roomtables.storage.lookup_writer import SentenceSettings, derive_lookup
+from roomtables.storage.files import build_lock, utc_now
+from roomtables.storage.lookup_writer import LookupSettings, derive_lookup
 from roomtables.storage.manifest import FileFacts, Manifest, Rate
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
@@ -183,10 +182,8 @@ class _Making:
         _run_checks(tables.workspace)
         for name in VERSION_TABLES:
             tables.workspace.export(reads.table(name), staging)
-        settings = SentenceSettings(
-            reads.value("k"), reads.value("template"), reads.value("reduction")
-        )
-        derive_lookup(staging, self.inputs.labels, settings)
+        settings = {name: reads.value(name) for name in LookupSettings._fields}
+        derive_lookup(staging, self.inputs.labels, LookupSettings(**settings))
 
     def _score(self, work: Workspace, progress: bool, asked: WorkTable) -> WorkTable:
         """See that all sentences of a table are in the cache; the view of its scores."""
@@ -215,7 +212,7 @@ class _Making:
         files = sorted(path for path in staging.rglob("*") if path.is_file())
         return Manifest(
             labels=labels.name,
-            created=datetime.now(UTC).replace(microsecond=0),
+            created=utc_now(),
             seconds=seconds,
             settings=inputs.config,
             stages=self.recorded,

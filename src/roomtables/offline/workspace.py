@@ -18,7 +18,9 @@ from roomtables.storage.files import writing
 
 # Of a large machine; half the memory of a small one. docs/scale.md has what it is enough for.
 _MEMORY_BYTES = 4 << 30
-_HANDED = "handed"  # the schema of what a SELECT may see
+# Schemas: of the tables that were made, and of those that one SELECT may see. DuckDB looks into
+# `main` from everywhere, so nothing is in it.
+_MADE, _HANDED = "made", "handed"
 _ARROW_TYPES = {
     "varchar": pa.string(),
     "varchar[]": pa.list_(pa.string()),
@@ -35,7 +37,7 @@ class WorkTable(NamedTuple):
     name: str
 
     def __str__(self) -> str:
-        return identifier(self.name)
+        return f"{_MADE}.{identifier(self.name)}"
 
 
 class Workspace:
@@ -50,6 +52,7 @@ class Workspace:
         self.connection = duckdb.connect(str(folder / "work.duckdb"))
         self.connection.execute(f"set temp_directory = {literal(folder / 'spill')}")
         self.connection.execute(f"set memory_limit = '{_memory_limit() >> 20} MiB'")
+        self.connection.execute(f"create schema {_MADE}; set schema = '{_MADE}'")
 
     def table(self, name: str, query: str, parameters: Sequence[object] = ()) -> WorkTable:
         """Make or replace a table from a SELECT."""
@@ -69,13 +72,14 @@ class Workspace:
         self.connection.execute(f"create schema {_HANDED}")
         try:
             for table in handed:
-                self.connection.execute(f"create view {_HANDED}.{table} as from main.{table}")
+                view = f"{_HANDED}.{identifier(table.name)}"
+                self.connection.execute(f"create view {view} as from {table}")
             self.connection.execute(f"set schema = '{_HANDED}'")
             self.connection.execute(
-                f"create or replace table main.{made} as select {columns} from (\n{query}\n)"
+                f"create or replace table {made} as select {columns} from (\n{query}\n)"
             )
         finally:
-            self.connection.execute("set schema = 'main'")
+            self.connection.execute(f"set schema = '{_MADE}'")
             self.connection.execute(f"drop schema {_HANDED} cascade")
         return made
 

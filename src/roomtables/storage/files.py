@@ -87,9 +87,9 @@ log = logging.getLogger(__name__)
 _LOCK = ".build-lock"
 
 
-def utc_now() -> str:
-    """The time, in UTC, as ISO 8601 to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+def utc_now() -> datetime:
+    """The time, in UTC, to the second."""
+    return datetime.now(UTC).replace(microsecond=0)
 
 
 @contextmanager
@@ -113,7 +113,10 @@ def build_lock(tables: Path, wait: bool = False) -> Iterator[None]:
         ) from error
     try:
         _acquire(descriptor, tables, wait)
-        _note(descriptor, f"process {os.getpid()} on {socket.gethostname()} since {utc_now()}\n")
+        _note(
+            descriptor,
+            f"process {os.getpid()} on {socket.gethostname()} since {utc_now().isoformat()}\n",
+        )
         yield
         _note(descriptor, "")
     finally:

@@ -100,7 +100,7 @@ class Lookup:
     ----------
     object_aliases, room_aliases : every name that is read as it stands, normalised → its label
     k : objects in a combination at most
-    templates : the wordings of the sentences; the query sentence has the first
+    template : the wordings of the sentences; the query sentence has the first
     """
 
     objects: tuple[ObjectLabel, ...]
@@ -108,7 +108,7 @@ class Lookup:
     object_aliases: Mapping[str, str]
     room_aliases: Mapping[str, str]
     k: int
-    templates: tuple[str, ...]
+    template: tuple[str, ...]
     reduction: str
     sources: Mapping[str, SourceArrays]
 
@@ -157,7 +157,7 @@ class Lookup:
             index["object_aliases"],
             index["room_aliases"],
             index["k"],
-            tuple(index["templates"]),
+            tuple(index["template"]),
             index["reduction"],
             {
                 source: _open_source(folder, files, shape, verify)

@@ -28,12 +28,20 @@ from roomtables.storage.versions import LOOKUP
 _BATCH = 8192  # combinations in memory at once
 
 
-class SentenceSettings(NamedTuple):
-    """What a lookup has to know to ask about a combination that it lacks."""
+class LookupSettings(NamedTuple):
+    """The settings of a build that whoever looks up has to know.
+
+    How a sentence about a combination that is not there would read and be scored, and how a room is
+    decided where nothing else is said.
+    """
 
     k: int
-    templates: tuple[str, ...]
+    template: tuple[str, ...]
     reduction: str
+    source: str
+    rule: str
+    prior_weight: float
+    evidence_power: float
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,7 @@ class ScoreChunks:
 Sources = Mapping[str, tuple[Mapping[str, NDArray[Any]], ScoreChunks]]
 
 
-def derive_lookup(version: Path, labels: LabelSpace, settings: SentenceSettings) -> None:
+def derive_lookup(version: Path, labels: LabelSpace, settings: LookupSettings) -> None:
     """Write ``lookup/`` of a version from its Parquet files, in bounded memory.
 
     Raises
@@ -75,7 +83,7 @@ def derive_lookup(version: Path, labels: LabelSpace, settings: SentenceSettings)
 
 
 def write_lookup(
-    folder: Path, labels: LabelSpace, settings: SentenceSettings, sources: Sources
+    folder: Path, labels: LabelSpace, settings: LookupSettings, sources: Sources
 ) -> None:
     """Write a lookup folder: arrays first, the index that names and hashes them last.
 

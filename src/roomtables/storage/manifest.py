@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from datetime import UTC, datetime
 from functools import cache
-from math import comb
+from math import comb, inf
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -84,7 +84,8 @@ class Coverage:
     def of(cls, possible: int, held: int, rooms: int, rate: Rate | None) -> Coverage:
         """Of so many combinations some are held; the others have a sentence per predicted room."""
         sentences = (possible - held) * rooms
-        seconds = round(sentences / rate.sentences_per_second, 1) if rate else None
+        speed = rate.sentences_per_second if rate else 0.0
+        seconds = round(sentences / speed, 1) if speed else None
         return cls(possible, held, sentences, seconds)
 
 
@@ -163,17 +164,16 @@ class Manifest:
         """
         try:
             value = json.loads(content)
+            json.dumps(value, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:
+            raise ManifestError("it holds characters that are no text") from error
         except (ValueError, RecursionError) as error:
             raise ManifestError(f"it is not JSON: {error}") from error
         if not isinstance(value, dict):
             raise ManifestError("it is not a JSON object")
         if value.get("schema_version") != SCHEMA_VERSION:
             raise SchemaVersionError(value.get("schema_version"))
-        try:
-            manifest: Manifest = _record(cls, value, "")
-            manifest.to_bytes()
-        except UnicodeEncodeError as error:
-            raise ManifestError("it holds characters that are no text") from error
+        manifest: Manifest = _record(cls, value, "")
         return manifest
 
 
@@ -210,8 +210,9 @@ def _value(kind: Any, value: Any, where: str) -> Any:
         return _settings(value)
     if is_dataclass(kind):
         return _record(kind, value, f"{where}.")
-    wanted = (int, float) if kind is float else kind
-    if origin is None and isinstance(value, wanted) and not isinstance(value, bool):
+    if kind in {int, float} and type(value) in {int, kind}:
+        return _count(value, where)
+    if kind is str and isinstance(value, str):
         return value
     raise ManifestError(f"`{where}` is of the wrong type"[:200])
 
@@ -219,6 +220,12 @@ def _value(kind: Any, value: Any, where: str) -> Any:
 def _without_none(kinds: tuple[Any, ...]) -> Any:
     (kind,) = (kind for kind in kinds if kind is not NoneType)
     return kind
+
+
+def _count(value: float, where: str) -> float:
+    if not 0 <= value < inf:
+        raise ManifestError(f"`{where}` must be 0 or more, not {value}"[:200])
+    return value
 
 
 def _moment(text: str, where: str) -> datetime:
