@@ -8,9 +8,7 @@ empty is derived. Labels are held sorted, so the order of a file changes nothing
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -126,13 +124,6 @@ class LabelSpace:
     def room_aliases(self) -> dict[str, str]:
         """Every accepted spelling of a room, normalised → its label."""
         return {name: found.label for name, found in _names(self.rooms, {}).items()}
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """SHA-256 over everything that a table can depend on."""
-        rows: list[object] = [[o.label, o.plural, o.synonyms] for o in self.objects]
-        rows += [[r.label, r.article, r.synonyms, r.predicted] for r in self.rooms]
-        return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
 
     @classmethod
     def load(cls, folder: Path) -> LabelSpace:

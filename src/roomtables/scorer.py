@@ -1,7 +1,7 @@
 """What roomtables asks of a language model: the log probability of a sentence, and who said it.
 
-This module knows no tensors. ``roomtables.lm`` implements the protocol; tests implement it with a
-few lines of arithmetic.
+``roomtables.lm`` implements the protocol with torch; tests implement it with a few lines of
+arithmetic.
 """
 
 from __future__ import annotations

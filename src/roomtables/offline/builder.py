@@ -1,7 +1,8 @@
 """The build: labels → sentences → scores → co-occurrence → entropy → queries → lookup → published.
 
-Everything is written aside; a version appears whole or not at all. What is scored stays in the
-sentence cache whatever happens.
+Everything is written aside; a version appears whole or not at all. A build that is killed leaves
+the published version as it was, the score parts that it had finished (the next build uses them),
+and a folder ``.staging-<process>`` (the next build removes it).
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Manners with files: errors in one line, no links that lead elsewhere, names that are text."""
+"""Files and locks: one-line errors, atomic writes, no links that lead elsewhere, one builder.
+
+One exclusive lock per tables folder for the builder; a shared lock on a folder for each reader that
+opens its files one by one. The system frees a lock when its process dies, so none is ever stale.
+"""
 
 from __future__ import annotations
 

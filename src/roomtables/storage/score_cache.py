@@ -10,6 +10,7 @@ import json
 import os
 import shutil
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
 
 import duckdb
@@ -146,8 +147,7 @@ class SentenceCache:
 
     def run_folder(self) -> SentenceCache:
         """A cache of its own inside the folder, for workers whose parts are adopted later."""
-        inner = SentenceCache.__new__(SentenceCache)
-        inner.scorer_id = self.scorer_id
+        inner = copy(self)
         inner.folder = self.folder.resolve() / f"{_RUN}{os.getpid()}"
         inner._generation = self._retiring()
         return inner
