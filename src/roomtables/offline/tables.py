@@ -7,7 +7,7 @@ and hands on its table, with the work tables that later stages read beside it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -41,18 +41,17 @@ _WORK_TABLES = {"single_sentences": SENTENCE_SCORES}
 Score = Callable[[WorkTable], WorkTable]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Reads:
     """What a stage is handed: what ``build.toml`` says it reads, and nothing else.
 
-    Asking for anything else raises :class:`ConfigError`; ``used`` collects what was asked for.
+    Asking for anything else raises :class:`ConfigError`.
     """
 
     stage: Stage
     inputs: Inputs
     tables: Mapping[str, WorkTable]
     score: Score
-    used: set[str] = field(default_factory=set)
 
     def value(self, name: str) -> Any:
         """A setting, or the content of an input file."""
@@ -80,7 +79,6 @@ class Reads:
         return {name: self.inputs.value(name) for name in self.stage.reads if name not in others}
 
     def _check(self, name: str) -> None:
-        self.used.add(name)
         if name not in self.stage.reads:
             raise ConfigError(
                 f"build.toml: stage `{self.stage.name}` needs `{name}`; add it to what "
@@ -104,18 +102,16 @@ class Tables:
         """What a stage is handed."""
         return Reads(stage, self._inputs, self._made, self._score)
 
-    def make(self, stage: Stage) -> Reads:
-        """Make a stage's table; returns what the stage was handed.
+    def make(self, stage: Stage) -> None:
+        """Make a stage's table.
 
         Raises
         ------
         ConfigError
             The stage needs what ``build.toml`` does not say it reads, or its SQL is wrong.
         """
-        reads = self.reads(stage)
-        made = _MAKERS.get(stage.name, _select)(self.workspace, reads)
+        made = _MAKERS.get(stage.name, _select)(self.workspace, self.reads(stage))
         self._made = self._made | {table.name: table for table in made}
-        return reads
 
 
 def _objects(workspace: Workspace, reads: Reads) -> list[WorkTable]:
@@ -263,7 +259,6 @@ def _select(
     """
     name = reads.stage.name
     sql = stage_sql(name) or ""
-    reads.used.update(read for read in reads.stage.reads if read in sql)
     settings = reads.settings()
     selected = ", ".join(f"? as {identifier(setting)}" for setting in settings) or "null as none"
     parameters = workspace.table("parameters", f"select {selected}", list(settings.values()))

@@ -9,11 +9,13 @@ from roomtables.config import BuildConfig
 from roomtables.errors import ConfigError
 from roomtables.offline.inputs import Inputs
 from roomtables.offline.plan import plan
-from roomtables.offline.stages import LOOKUP, STAGES, listed_stages
+from roomtables.offline.stages import STAGES, Stage, listed_stages
 from roomtables.offline.tables import Tables
 from roomtables.offline.workspace import workspace
+from roomtables.schemas import VERSION_TABLES
+from roomtables.storage.lookup_writer import LookupSettings
 from roomtables.storage.score_cache import NO_SCORES
-from roomtables.storage.versions import SpaceFolder
+from roomtables.storage.versions import LOOKUP, SpaceFolder
 from support import HashScorer
 
 
@@ -55,29 +57,30 @@ def test_a_stage_that_reads_what_comes_later_or_is_nothing(tmp_path, labels):
     refused(tmp_path, labels, stages, "stage `rooms` reads `colour`")
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_is_handed_what_it_reads_and_nothing_else(tmp_path, labels, counts, stage):
-    """Whatever is dropped from the list of a stage, the build says so and publishes nothing."""
-    stages = BuildConfig.load().stages
-    for dropped in stages[stage]:
-        fewer = stages | {stage: tuple(read for read in stages[stage] if read != dropped)}
-        with pytest.raises(ConfigError, match=rf"build\.toml.*{stage}|{stage}\.sql.*build\.toml"):
-            build(
-                config_of(tmp_path, fewer),
-                tables=tmp_path / "t", labels=labels, counts=counts, scorer=HashScorer(),
-            )  # fmt: skip
-        assert SpaceFolder(tmp_path / "t", "small").published() is None
-
-
-def test_the_package_lists_nothing_that_a_stage_does_not_use(tmp_path, labels, counts):
+def test_a_stage_is_handed_what_it_reads_and_nothing_else(tmp_path, labels, counts):
+    """Whatever is dropped from the list of a stage, its table cannot be made: all of it is used."""
     config = BuildConfig.load(labels=labels, counts=counts)
     with workspace(tmp_path) as work:
-        tables = Tables(
-            work, Inputs.read(config), lambda _: work.view("sentence_scores", NO_SCORES)
-        )
-        for stage in listed_stages(config):
-            if stage.name != LOOKUP:
-                assert tables.make(stage).used == set(stage.reads), stage.name
+        unscored = work.view("sentence_scores", NO_SCORES)
+        tables = Tables(work, Inputs.read(config), lambda _: unscored)
+        for stage in listed_stages(config)[:-1]:
+            for dropped in stage.reads:
+                fewer = tuple(read for read in stage.reads if read != dropped)
+                said = rf"build\.toml: stage `{stage.name}`|{stage.name}\.sql: .*build\.toml reads"
+                with pytest.raises(ConfigError, match=said):
+                    tables.make(Stage(stage.name, fewer))
+            tables.make(stage)
+
+
+def test_the_last_stage_reads_what_is_published(tmp_path, labels):
+    stages = BuildConfig.load().stages
+    assert set(stages[LOOKUP]) == {*VERSION_TABLES, *LookupSettings._fields}
+    for dropped in ("names", "prior_weight"):
+        fewer = tuple(read for read in stages[LOOKUP] if read != dropped)
+        config = config_of(tmp_path, stages | {LOOKUP: fewer})
+        with pytest.raises(ConfigError, match=f"stage `lookup` needs `{dropped}`"):
+            build(config, tables=tmp_path / "t", labels=labels, scorer=HashScorer())
+    assert SpaceFolder(tmp_path / "t", "small").published() is None
 
 
 def test_another_order_makes_the_same_tables(tmp_path, labels, counts):
