@@ -17,11 +17,10 @@ import numpy as np
 from roomtables import RoomTables
 from roomtables.config import BuildConfig
 from roomtables.labels import LabelSpace
-from roomtables.schemas import SCHEMA_VERSION
-from roomtables.storage.files import utc_now
 from roomtables.storage.lookup import pack_keys
-from roomtables.storage.lookup_writer import ScoreChunks, write_lookup
+from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup
 from roomtables.storage.versions import LOOKUP, SpaceFolder
+from support import made_manifest
 
 OBJECTS = ("bed", "lamp", "sink")
 ROOMS = ("bathroom", "bedroom", "kitchen", "office", "yard")
@@ -32,7 +31,8 @@ _PADDING = 60_000  # rows beside those that are asked for, so that the files are
 def publish(tables: Path, generation: int) -> None:
     """A version whose every combination is answered by room ``generation`` modulo their number.
 
-    The generation is also in the manifest, in the bias, and in S of single objects.
+    The generation is also in the manifest (as its number of sentences), in the bias, and in S of
+    single objects.
     """
     space = LabelSpace.named("loop", OBJECTS, ROOMS)
     folder = SpaceFolder(tables, space.name)
@@ -51,24 +51,12 @@ def publish(tables: Path, generation: int) -> None:
         "room_logits": room_logits,
         "bias": np.full(len(ROOMS), float(generation)),
     }
-    config = BuildConfig()
-    settings: dict[str, Any] = {"k": 3, "template": config.template, "reduction": "sum"}
-    manifest = settings | {
-        "schema_version": SCHEMA_VERSION,
-        "labels": space.name,
-        "created": utc_now(),
-        "generation": generation,
-        "scorer_id": "made-up",
-        "query_scorer_id": "made-up",
-        "model": {"model": "made-up"},
-        "decision": {
-            name: getattr(config, name)
-            for name in ("source", "rule", "prior_weight", "evidence_power")
-        },
-    }
+    built = BuildConfig()
+    settings = LookupSettings(**{name: getattr(built, name) for name in LookupSettings._fields})
     with folder.staging() as staging:
         source = (arrays, ScoreChunks(len(keys), len(ROOMS), [(keys, scores)]))
-        manifest |= write_lookup(staging / LOOKUP, space, settings, {"proxy": source})
+        write_lookup(staging / LOOKUP, space, settings, {"proxy": source})
+        manifest = made_manifest(staging, labels=space.name, sentences=generation)
         folder.publish(staging, folder.new_name("generate"), manifest)
     folder.remove_old()
 
@@ -80,7 +68,7 @@ def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:
     while not stop.is_set():
         try:
             opened = RoomTables.open(tables, "loop", offline=True, note_misses=False)
-            generation = int(opened.version.manifest["generation"])
+            generation = opened.version.manifest.sentences
             expected = ROOMS[generation % len(ROOMS)]
             found = {
                 opened.deciding(rule=r).classify(["lamp", "bed"]).room for r in ("query", "pooled")
