@@ -31,11 +31,10 @@ from roomtables.cli.common import (
 from roomtables.errors import InputError, StoreError
 from roomtables.online.classifier import RoomTables
 from roomtables.scenes.dsg import graph_scene, label_rooms
-from roomtables.scenes.matterport import room_frequencies
 from roomtables.scenes.matterport_labels import house_labels
 from roomtables.scenes.reader import read_graph, read_scene, scene_files
 from roomtables.scenes.room_lists import read_true_rooms, with_true_rooms, write_nested
-from roomtables.scenes.scene import ReadOptions, Scene, SceneRoom
+from roomtables.scenes.scene import ReadOptions, Scene, SceneRoom, room_frequencies
 from roomtables.scenes.sparkdsg import write_sparkdsg
 from roomtables.storage.versions import write_aside
 

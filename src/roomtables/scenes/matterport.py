@@ -8,7 +8,6 @@ categories that say nothing about a room are left out, and so are outdoor, unnam
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -242,8 +241,3 @@ def _warn_if_short(house: House, path: Path, options: ReadOptions) -> None:
         if len(found) < house.announced.get(kind, 0):
             announced = house.announced[kind]
             options.warn(f"{path}: {len(found)} of {announced} {kind}; is the file cut short?")
-
-
-def room_frequencies(rooms: Iterable[SceneRoom]) -> Counter[str]:
-    """How often each room label occurs (the paper's table 1)."""
-    return Counter(";".join(room.truth) or "unknown" for room in rooms)

@@ -174,7 +174,7 @@ def _format_of(file: SceneFile) -> Format:
         problem = "neither .house files nor an HOV-SG graph in it"
     elif file.is_json:
         problem = "JSON, but no scene that roomtables knows"
-    elif not file.head.strip():
+    elif file.is_blank:
         problem = f"blank for {HEAD} bytes"
     else:
         problem = "not a format that roomtables reads"

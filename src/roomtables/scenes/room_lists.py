@@ -27,7 +27,7 @@ def is_json_lines(file: SceneFile) -> bool:
         return False
     if file.is_json:
         return file.has_object_lines and not is_nested(file)
-    if not file.head.strip():
+    if file.is_blank:
         return file.is_complete
     return file.path.suffix in _LINE_SUFFIXES and b"\0" not in file.head and not is_csv(file)
 

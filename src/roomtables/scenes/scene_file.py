@@ -82,6 +82,11 @@ class SceneFile:
         return self.text.lstrip("\ufeff").split("\n", 1)[0].strip()
 
     @property
+    def is_blank(self) -> bool:
+        """Whether the head holds nothing but white space."""
+        return not self.text.strip()
+
+    @cached_property
     def is_json(self) -> bool:
         """Whether the file begins as JSON does, with a brace or a bracket."""
         return self.text.lstrip().startswith(("{", "["))
@@ -142,12 +147,12 @@ class SceneFile:
 
     @property
     def _is_one_line(self) -> bool:
-        """Whether the first line is all that the file holds, and UTF-8."""
+        """Whether the head is UTF-8 and holds nothing beside its first line."""
         try:
             self.head.decode()
         except UnicodeDecodeError:
             return False
-        return self.is_complete and not self._json_lines[1]
+        return not self._json_lines[1]
 
     def _decode(self) -> Any:
         try:

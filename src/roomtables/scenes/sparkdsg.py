@@ -31,8 +31,8 @@ _OBJECT_LETTERS = frozenset(map(ord, "Oo"))
 
 
 def is_sparkdsg(file: SceneFile) -> bool:
-    """Whether a file is a binary Spark-DSG graph: its header names the project."""
-    return b"SPARK_DSG" in file.head[:32] and not file.head.lstrip().startswith(b"{")
+    """Whether a file has the header of a binary Spark-DSG graph; its JSON has one as well."""
+    return b"SPARK_DSG" in file.head[:32] and not file.is_json
 
 
 def read_sparkdsg(file: SceneFile, options: ReadOptions) -> Scene:

@@ -10,8 +10,8 @@ import pytest
 
 from roomtables.errors import InputError
 from roomtables.scenes import read_rooms, read_scene
-from roomtables.scenes.matterport import Box, HouseObject, Region, region_of, room_frequencies
-from roomtables.scenes.scene import ReadOptions
+from roomtables.scenes.matterport import HouseObject, Region, region_of
+from roomtables.scenes.scene import Box, ReadOptions, room_frequencies
 from scene_builders import House
 
 PAPER_ROOMS = """
