@@ -1,4 +1,4 @@
-"""HOV-SG folders: ``rooms/<id>.json`` lists a room's object ids, ``objects/<id>.json`` names one.
+"""HOV-SG folders: ``rooms/<id>.json`` lists object ids, ``objects/<id>.json`` names an object.
 
 HOV-SG names rooms itself, by CLIP or a language model; that name is a prediction, so it is read as
 the room's name and never as the truth.

@@ -34,7 +34,8 @@ from roomtables.scenes.scene_file import HEAD, SceneFile
 from roomtables.scenes.sparkdsg import is_sparkdsg, read_sparkdsg, sparkdsg_document
 
 STANDARD_INPUT = Path("-")
-# Bytes of JSON beyond which it is no scene: with a key that a scene begins with, and without.
+# Bytes of JSON beyond which it is no scene: with a first key that scenes are known to have, and
+# with another (see `SceneFile.has_document_key`).
 _LARGE, _LARGE_AND_STRANGE = 1 << 30, 1 << 26
 
 

@@ -18,7 +18,7 @@ from roomtables.errors import InputError
 HEAD = 65_536  # bytes that are looked at to recognise a format
 _BLANKS = " \t\r\n"  # what JSON takes for white space
 _FIRST_KEY = re.compile(r'\s*\{\s*"((?:[^"\\]|\\.)*)"\s*:')
-# A document that begins with one of these keys may be large, and is never JSON lines.
+# A document that begins with one of these keys is never JSON lines, and may be larger than others.
 _DOCUMENT_KEYS = frozenset(
     {
         "SPARK_DSG_header",

@@ -1,8 +1,8 @@
 """Spark-DSG's binary form, in files and in messages, through the package ``spark_dsg``.
 
 A file is read and written by way of the JSON that ``spark_dsg`` itself writes for it, so that
-`dsg` and `dsg_graph` serve both forms. A message of a running robot stays a graph of ``spark_dsg``:
-by way of JSON each one would take many times as long. Needs the extra ``scene-graphs``.
+`dsg` and `dsg_graph` serve both forms. A message of a running robot stays a graph of ``spark_dsg``,
+without the detour by JSON. Needs the extra ``scene-graphs``.
 """
 
 from __future__ import annotations
