@@ -147,12 +147,12 @@ class SceneFile:
 
     @property
     def _is_one_line(self) -> bool:
-        """Whether the head is UTF-8 and holds nothing beside its first line."""
+        """Whether the file is UTF-8 and holds nothing beside its first line."""
         try:
             self.head.decode()
         except UnicodeDecodeError:
             return False
-        return not self._json_lines[1]
+        return self.is_complete and not self._json_lines[1]
 
     def _decode(self) -> Any:
         try:
