@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomtables.config import BuildConfig, pipeline_folder
+from roomtables.config import BuildConfig, default_stages, pipeline_folder
 from roomtables.errors import ConfigError
 from roomtables.offline.inputs import INPUTS, Inputs
 from roomtables.storage.manifest import FileFacts
@@ -37,7 +37,7 @@ class Stage(NamedTuple):
 
 
 def listed_stages(config: BuildConfig) -> tuple[Stage, ...]:
-    """The stages in the order of the settings.
+    """The stages in the order of the settings, or of the package's ``build.toml``.
 
     Raises
     ------
@@ -45,9 +45,10 @@ def listed_stages(config: BuildConfig) -> tuple[Stage, ...]:
         A stage is unknown or missing, or reads what is neither a stage before it, a setting, nor
         an input file.
     """
-    stages = tuple(Stage(name, reads) for name, reads in config.stages.items())
+    listed = config.stages or default_stages()
+    stages = tuple(Stage(name, reads) for name, reads in listed.items())
     for name in STAGES:
-        if name not in config.stages:
+        if name not in listed:
             raise ConfigError(f"build.toml: stage `{name}` is missing from `[stages]`; add it")
     for place, stage in enumerate(stages):
         if stage.name not in STAGES:

@@ -17,7 +17,7 @@ import io
 import json
 import mmap
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -57,16 +57,6 @@ def pack_keys(ranks: NDArray[np.int64], k: int) -> NDArray[np.uint64]:
     for column in range(k):
         keys = (keys << np.uint64(key_bits(k))) | ranks[:, column].astype(np.uint64)
     return keys
-
-
-def unpack_ranks(keys: NDArray[np.uint64], k: int) -> NDArray[np.int64]:
-    """Ranks ``[n, k]`` of keys ``[n]``; 0 behind the last object."""
-    bits = key_bits(k)
-    mask = np.uint64((1 << bits) - 1)
-    columns: Sequence[NDArray[np.uint64]] = [
-        (keys >> np.uint64(bits * (k - 1 - column))) & mask for column in range(k)
-    ]
-    return np.stack(columns, axis=1).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,6 +83,13 @@ def test_the_last_stage_reads_what_is_published(tmp_path, labels):
     assert SpaceFolder(tmp_path / "t", "small").published() is None
 
 
+def test_settings_made_in_python_have_the_packages_stages(tmp_path, labels):
+    report = build(BuildConfig(labels=labels, k=1), tables=tmp_path / "t", scorer=HashScorer())
+    assert report.published
+    stages = SpaceFolder(tmp_path / "t", "small").current().manifest.stages
+    assert set(stages) == set(BuildConfig.load().stages)
+
+
 def test_another_order_makes_the_same_tables(tmp_path, labels, counts):
     stages = BuildConfig.load().stages
     order = ["rooms", "names", "objects", "sentence_scores", "cooccurrence", "room_bias"]

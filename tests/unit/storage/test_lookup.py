@@ -18,7 +18,7 @@ from roomtables.labels import LabelSpace
 from roomtables.offline.combinations import all_combinations
 from roomtables.online.batch import ABSENT, ScoreRows
 from roomtables.storage import lookup
-from roomtables.storage.lookup import Lookup, SourceArrays, key_bits, pack_keys, unpack_ranks
+from roomtables.storage.lookup import Lookup, SourceArrays, pack_keys
 from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup
 from roomtables.storage.manifest import Manifest
 from roomtables.storage.versions import SpaceFolder
@@ -232,14 +232,6 @@ def test_a_lookup_that_was_not_finished_has_no_index(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         write_lookup(tmp_path / "lookup", small_space(), SETTINGS, {"proxy": source})
     assert not (tmp_path / "lookup" / "lookup.json").exists()
-
-
-@given(k=st.integers(1, 8), data=st.data())
-def test_keys_are_unpacked_to_what_was_packed(k: int, data: st.DataObject) -> None:
-    rank = st.integers(0, (1 << key_bits(k)) - 1)
-    rows = data.draw(st.lists(st.lists(rank, min_size=k, max_size=k), min_size=1, max_size=5))
-    ranks = np.array(rows, np.int64)
-    np.testing.assert_array_equal(unpack_ranks(pack_keys(ranks, k), k), ranks)
 
 
 @given(objects=st.integers(1, 9), k=st.integers(1, 4), data=st.data())
