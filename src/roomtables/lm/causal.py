@@ -10,7 +10,7 @@ import numpy as np
 
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import FloatArray, Forward
-from roomtables.lm.progress import Meter
+from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import choose
 from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
 from roomtables.lm.trie import Sequences, sort_sequences

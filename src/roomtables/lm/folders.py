@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import MissingExtraError, ModelError
+from roomtables.errors import MissingExtraError, ModelError, first_line
 
 EMBEDDED_MODEL = "household-lm"
 EMBEDDED_FOLDER = Path(__file__).parents[1] / "models" / EMBEDDED_MODEL
@@ -168,7 +168,7 @@ def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
         )
     except Exception as error:
         raise ModelError(
-            f"downloading {model} from the model hub broke off ({_first_line(error)}); run it again"
+            f"downloading {model} from the model hub broke off ({first_line(error)}); run it again"
         ) from error
     return Path(path), info.sha
 
@@ -184,11 +184,7 @@ def _from_hub_cache(
         )
     except Exception as error:
         raise ModelError(
-            f"no folder is named {model} and the model hub does not answer ({_first_line(why)}); "
+            f"no folder is named {model} and the model hub does not answer ({first_line(why)}); "
             f"give --model a local folder, or {EMBEDDED_MODEL}, which is built in"
         ) from error
     return Path(path), Path(path).name
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:120]

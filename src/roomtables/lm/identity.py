@@ -17,12 +17,11 @@ from typing import Any
 
 from roomtables.errors import ModelError
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
+from roomtables.scorer import DTYPES, SCORINGS
 
 SCORING_RULE_VERSION = "1"
 """Raise it whenever what is scored changes: which tokens, the BOS rule, the masking rule."""
 
-SCORINGS = ("causal", "pll", "pll_word_l2r")
-DTYPES = ("float32", "float16", "bfloat16", "float64")
 DEVICES = ("cpu", "cuda", "auto")
 
 # Written by a library that saved the files, without any bearing on a score.

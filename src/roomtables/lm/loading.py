@@ -9,7 +9,7 @@ from typing import Any
 import torch
 import transformers
 
-from roomtables.errors import ModelError, RoomtablesError
+from roomtables.errors import ModelError, RoomtablesError, first_line
 from roomtables.lm.causal import CausalBackend
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.folders import ModelFolder, resolve
@@ -106,7 +106,7 @@ def _load_tokenizer(folder: ModelFolder) -> Any:
         )
     except Exception as error:  # a damaged file surfaces as any exception
         raise ModelError(
-            f"{folder.name}: cannot read the tokenizer in {folder.path} ({_one_line(error)}); "
+            f"{folder.name}: cannot read the tokenizer in {folder.path} ({first_line(error)}); "
             "save it again with tokenizer.save_pretrained()"
         ) from error
 
@@ -136,7 +136,7 @@ def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> An
     except Exception as error:  # unknown architecture, damaged weights, shapes that disagree
         raise ModelError(
             f"{folder.name}: transformers {transformers.__version__} cannot load it as a "
-            f"{'causal' if kind == 'causal' else 'masked'} language model ({_one_line(error)}); "
+            f"{'causal' if kind == 'causal' else 'masked'} language model ({first_line(error)}); "
             "use another --model"
         ) from error
 
@@ -193,8 +193,3 @@ def _context(config: Any) -> int | None:
 
 def _device_name(device: str) -> str:
     return f"cuda ({torch.cuda.get_device_name()})" if device == "cuda" else device
-
-
-def _one_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return (lines or [type(error).__name__])[0][:200]

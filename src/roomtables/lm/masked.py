@@ -17,7 +17,7 @@ import numpy as np
 from roomtables.errors import ModelError
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import FloatArray, Forward, IntArray
-from roomtables.lm.progress import Meter
+from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import agree, in_float32
 from roomtables.lm.strategies import batches_by_length
 

@@ -13,10 +13,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import torch
 
-from roomtables.errors import ModelError
+from roomtables.errors import ModelError, first_line
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import FloatArray, Forward, IntArray
-from roomtables.lm.progress import Meter
+from roomtables.lm.scorer import Meter
 from roomtables.lm.strategies import ROW_NODES, Strategy
 from roomtables.lm.trie import Sequences, sort_sequences
 
@@ -81,8 +81,9 @@ def _naive(forward: Forward, sequences: Sequences, picked: IntArray, name: str) 
     try:
         scores = np.array([forward.sequence(sequences.row(row)).sum() for row in picked])
     except Exception as error:
+        why = f"{type(error).__name__}: {first_line(error)}"
         raise ModelError(
-            f"{name} cannot score a plain sentence ({_one_line(error)}); use another --model"
+            f"{name} cannot score a plain sentence ({why}); use another --model"
         ) from error
     if not np.isfinite(scores).all():
         raise ModelError(
@@ -107,7 +108,7 @@ def _disagreement(
     except torch.cuda.OutOfMemoryError:
         raise
     except Exception as error:  # whatever an architecture does with inputs it does not expect
-        return _one_line(error)
+        return f"{type(error).__name__}: {first_line(error)}"
     if agree(forward, scores, expected):
         return None
     return f"{np.abs(scores - expected).max():.2g} nats from naive scoring"
@@ -142,8 +143,3 @@ def in_float32(forward: Forward) -> Iterator[None]:
         yield
     finally:
         back()
-
-
-def _one_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return f"{type(error).__name__}: {lines[0][:160] if lines else ''}"

@@ -10,7 +10,7 @@ from torch import Tensor
 from transformers import DynamicCache
 
 from roomtables.lm.forward import FloatArray, Forward
-from roomtables.lm.progress import Meter
+from roomtables.lm.scorer import Meter
 from roomtables.lm.trie import (
     Group,
     IntArray,
