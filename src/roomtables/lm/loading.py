@@ -1,9 +1,13 @@
-"""Loads a model and its tokenizer with transformers, quietly, safely, and with clear refusals."""
+"""Loads a model and its tokenizer with transformers: safetensors only, no code of the model's own.
+
+What cannot be loaded is a ModelError of one line; transformers' own output is silenced.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -49,11 +53,8 @@ def load(
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
     parameters = sum(weight.numel() for weight in network.parameters())
     threads = threads_for(parameters, place)
-    try:
-        with using_threads(threads):
-            backend = _backend(network, tokenizer, folder, kind, budget)
-    except torch.cuda.OutOfMemoryError as error:
-        raise _too_large(folder, dtype) from error
+    with using_threads(threads), _out_of_memory_named(folder, dtype):
+        backend = _backend(network, tokenizer, folder, kind, budget)
     _log.info("%s on %s: strategy %s", identity, place, backend.strategy)
     return SentenceScorer(
         backend,
@@ -117,22 +118,21 @@ def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> An
         transformers.AutoModelForCausalLM if kind == "causal" else transformers.AutoModelForMaskedLM
     )
     try:
-        network, report = auto.from_pretrained(
-            folder.path,
-            dtype=getattr(torch, dtype),
-            use_safetensors=True,
-            trust_remote_code=False,
-            local_files_only=True,
-            output_loading_info=True,
-        )
-        _refuse_missing_weights(folder, report)
-        network.eval().requires_grad_(False).to(device)
-        accelerate(network)
-        return network
+        with _out_of_memory_named(folder, dtype):
+            network, report = auto.from_pretrained(
+                folder.path,
+                dtype=getattr(torch, dtype),
+                use_safetensors=True,
+                trust_remote_code=False,
+                local_files_only=True,
+                output_loading_info=True,
+            )
+            _refuse_missing_weights(folder, report)
+            network.eval().requires_grad_(False).to(device)
+            accelerate(network)
+            return network
     except RoomtablesError:
         raise
-    except torch.cuda.OutOfMemoryError as error:
-        raise _too_large(folder, dtype) from error
     except Exception as error:  # unknown architecture, damaged weights, shapes that disagree
         raise ModelError(
             f"{folder.name}: transformers {transformers.__version__} cannot load it as a "
@@ -141,11 +141,16 @@ def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> An
         ) from error
 
 
-def _too_large(folder: ModelFolder, dtype: str) -> ModelError:
-    return ModelError(
-        f"{folder.name} does not fit into the GPU's memory in {dtype}; "
-        "try --dtype float16, or --device cpu"
-    )
+@contextmanager
+def _out_of_memory_named(folder: ModelFolder, dtype: str) -> Iterator[None]:
+    """Say in one line which model the GPU's memory is too small for."""
+    try:
+        yield
+    except torch.cuda.OutOfMemoryError as error:
+        raise ModelError(
+            f"{folder.name} does not fit into the GPU's memory in {dtype}; "
+            "try --dtype float16, or --device cpu"
+        ) from error
 
 
 def _refuse_foreign_code(folder: ModelFolder) -> None:
