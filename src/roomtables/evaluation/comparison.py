@@ -1,7 +1,7 @@
 """The same rooms under several decisions: chosen conditions compared, or a grid of settings swept.
 
 :func:`compare` judges a few (rule, source) conditions and tests, pair by pair, whether they differ
-by more than luck. :func:`sweep` judges every setting of a grid over k, λ, γ, rule and source, from
+by more than chance. :func:`sweep` judges every setting of a grid over k, λ, γ, rule and source, from
 the tables alone.
 """
 
@@ -91,9 +91,10 @@ class Comparison:
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Two conditions on the same rooms: the difference in accuracy, and what luck explains of it.
+    """Two conditions on the same rooms: the difference in accuracy, and whether it may be chance.
 
-    ``difference`` is first less second, with its paired bootstrap interval.
+    ``difference`` is first less second, ``low`` and ``high`` its paired bootstrap interval;
+    ``only_first``, ``only_second`` and ``p_value`` are as in McNemar's test.
     """
 
     first: str
@@ -107,7 +108,7 @@ class PairedTest:
 
     @classmethod
     def of(cls, first: Evaluation, second: Evaluation) -> PairedTest:
-        """The test of two evaluations of the same rooms."""
+        """The test of two evaluations of the same rooms in the same order."""
         difference = first.outcomes.astype(np.float64) - second.outcomes
         interval = bootstrap_interval(difference)
         test = mcnemar(first.outcomes, second.outcomes)

@@ -101,11 +101,11 @@ class Evaluation:
         return np.array([judged.correct for judged in self.judged])
 
     def reliability(self) -> list[statistics.Bin]:
-        """How often the answers given are right, by how probable they were said to be."""
+        """The share of right answers, binned by the probability they were given with."""
         return statistics.reliability(*self._answered())
 
     def risk_coverage(self) -> list[statistics.Operating]:
-        """What answering only from a probability on would do: coverage, and the share right."""
+        """Coverage and accuracy where only answers of at least some probability are given."""
         return statistics.risk_coverage(*self._answered(), rooms=self.rooms)
 
     def _answered(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

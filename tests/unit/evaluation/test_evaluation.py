@@ -147,6 +147,10 @@ def test_sweep_command_draws(folder, rooms_file, tmp_path):
         assert found.exit_code == 0, found.output
         assert path.stat().st_size > 1000
     assert "not varied: k above 3" in found.stdout
+    drawn = (tmp_path / "sweep.svg").read_text()
+    assert "query, proxy" in drawn
+    assert "calibrated, proxy, λ" in drawn
+    assert "pooled, proxy, λ 0.5" in drawn
     assert run(*common, "--sweep", "--compare", "query:proxy").exit_code == 2
 
 
