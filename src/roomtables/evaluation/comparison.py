@@ -1,8 +1,8 @@
 """The same rooms under several decisions: chosen conditions compared, or a grid of settings swept.
 
 :func:`compare` judges a few (rule, source) conditions and tests, pair by pair, whether they differ
-by more than chance. :func:`sweep` judges every setting of a grid over k, λ, γ, rule and source, from
-the tables alone.
+by more than chance. :func:`sweep` judges a grid of settings (k, λ, γ, rule, source) from the tables
+alone.
 """
 
 from __future__ import annotations
