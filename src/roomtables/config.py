@@ -10,10 +10,9 @@ from typing import Any
 from roomtables.errors import ConfigError, LabelSpaceError
 from roomtables.labels import LabelSpace
 from roomtables.schemas import REDUCTIONS, RULES, SOURCES
+from roomtables.scorer import DTYPES, SCORINGS
 from roomtables.sentences import DEFAULT_TEMPLATE, Template
 
-DTYPES = ("float32", "float16", "bfloat16", "float64")
-SCORINGS = ("causal", "pll", "pll_word_l2r")
 ENGINES = ("local", "ray")
 _CHOICES = {
     "dtype": DTYPES,

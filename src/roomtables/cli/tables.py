@@ -18,8 +18,9 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
-from roomtables.config import DTYPES, ENGINES, SCORINGS, BuildConfig
+from roomtables.config import ENGINES, BuildConfig
 from roomtables.schemas import REDUCTIONS
+from roomtables.scorer import DTYPES, SCORINGS
 
 if TYPE_CHECKING:
     from roomtables.offline.plan import Plan

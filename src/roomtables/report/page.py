@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.evaluation import Evaluation, evaluate
+from roomtables.evaluation.judging import room_list
 from roomtables.evaluation.statistics import area_under_risk, expected_calibration_error
 from roomtables.online.classifier import RoomTables
+from roomtables.online.decision import Decision
 from roomtables.report import html
 from roomtables.report.html import Bar
-from roomtables.rooms import Room, read_room_lines
+from roomtables.rooms import Room
 from roomtables.storage.views import connect, select
 
 _SHOWN = 15
@@ -39,8 +41,7 @@ def report(tables: RoomTables, rooms: Iterable[Room] | str | Path | None = None)
     finally:
         connection.close()
     if rooms is not None:
-        held = list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
-        sections += _results(tables, held)
+        sections += _results(tables, room_list(rooms))
     return html.page(f"roomtables: {tables.version.manifest.labels}", sections)
 
 
@@ -66,7 +67,7 @@ def _about(tables: RoomTables) -> Section:
     return "about", "What this is", html.table(("", ""), rows)
 
 
-def _decision_text(decision: Any) -> str:
+def _decision_text(decision: Decision) -> str:
     return (
         f"rule {decision.rule}, source {decision.source}, "
         f"λ {decision.prior_weight:g}, γ {decision.evidence_power:g}"
