@@ -19,7 +19,7 @@ from roomtables.config import load_labels
 from roomtables.lm import load_scorer
 from roomtables.lm.trie import build_trie, sort_sequences
 from roomtables.offline.combinations import count_all
-from roomtables.offline.ray_engine import SHARD_SENTENCES
+from roomtables.offline.engines import SHARD_SENTENCES
 from roomtables.sentences import Template
 
 

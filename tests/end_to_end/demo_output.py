@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import os
+import contextlib
 import re
 import shlex
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
+
+from click.testing import CliRunner
+
+from roomtables.cli import main
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -29,14 +32,12 @@ def commands() -> list[str]:
 def demo_output() -> str:
     """The commands and their output; times are left out, as no two runs share them."""
     lines = []
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(ROOT):
         for command in commands():
             words = shlex.split(command.replace(".venv/demo-tables", folder))
-            run = subprocess.run(
-                [sys.executable, "-m", *words],
-                cwd=ROOT, capture_output=True, text=True, check=True,
-                env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-            )  # fmt: skip
+            run = CliRunner().invoke(main, words[1:], catch_exceptions=False)
+            if run.exit_code:
+                raise RuntimeError(f"{command} exited {run.exit_code}: {run.stderr}")
             said = re.sub(r", \d+\.\d s$", "", run.stdout.rstrip(), flags=re.MULTILINE)
             lines += [f"$ {command}", *said.replace(folder, ".venv/demo-tables").splitlines(), ""]
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"

@@ -1,5 +1,6 @@
 """Builds that are killed, interrupted, run twice at once, or run out of disk."""
 
+import logging
 import os
 import resource
 import signal
@@ -7,7 +8,6 @@ import stat
 import subprocess
 import sys
 import textwrap
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -29,53 +29,84 @@ def labels(tmp_path):
     return str(write_space(tmp_path / "labels", small_space()))
 
 
-def start(code, *args):
-    """A child that runs some code and says so once it is under way."""
-    paths = [str(TESTS), str(TESTS.parent / "src"), os.environ.get("PYTHONPATH", "")]
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(code), *map(str, args)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
-    )
-    assert process.stdout.readline() == "ready\n", process.stderr.read()
-    return process
+@pytest.fixture
+def start():
+    """Start a child that runs some code and says "ready" once it is under way."""
+    children = []
+
+    def child(code, *args):
+        paths = [str(TESTS), str(TESTS.parent / "src"), os.environ.get("PYTHONPATH", "")]
+        process = subprocess.Popen(
+            [sys.executable, "-c", DEFAULT_SIGNALS + textwrap.dedent(code), *map(str, args)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        )
+        children.append(process)
+        assert process.stdout.readline() == "ready\n", process.communicate()[1]
+        return process
+
+    yield child
+    for process in children:
+        with process:
+            process.kill()
 
 
+# A background job of a shell ignores SIGINT, and so would its children.
+DEFAULT_SIGNALS = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+"""
+# Holds the build lock until its standard input is closed.
 HOLD = """
-    import pathlib, sys, time
+    import pathlib, sys
     from roomtables.storage.files import build_lock
     with build_lock(pathlib.Path(sys.argv[1])):
         print("ready", flush=True)
-        time.sleep(float(sys.argv[2]))
+        sys.stdin.read()
 """
-# The command line with a model that takes a second per sentence.
-SLOW = """
+# The command line with a model that gives five scores and then takes for ever.
+STUCK = """
     import sys, time
-    import roomtables.offline.builder as builder
-    from faults import SlowScorer
+    import roomtables.lm
+    from support import HashScorer
+
+    class Stuck(HashScorer):
+        def score_stream(self, sentences):
+            for number, score in enumerate(super().score_stream(sentences)):
+                if number == 5:
+                    print("ready", flush=True)
+                    time.sleep(600)
+                yield score
+
+    roomtables.lm.identify = lambda *args, **settings: "hash@1"
+    roomtables.lm.load_scorer = lambda *args, **settings: Stuck()
     from roomtables.cli import main
-    real = builder.LazyScorer
-    builder.LazyScorer = lambda config, scorer: real(config, SlowScorer("hash@1", 0.2))
-    print("ready", flush=True)
     main(["build", "--tables", sys.argv[1], "--labels", sys.argv[2]])
 """
 
 
-@pytest.mark.slow
 def test_killed_builds_lose_nothing_and_readers_never_notice(tmp_path):
-    done = run_faults(tmp_path, kills=3, seed=2)
-    assert done["kills"] == 3
+    done = run_faults(tmp_path, kills=6, seed=2)
+    assert done["kills"] == 6
+    assert done["half_written"] > 0
     assert done["looks"] > 4
 
 
+@pytest.mark.slow
+def test_many_killed_builds_lose_nothing_and_readers_never_notice(tmp_path):
+    done = run_faults(tmp_path, kills=25, seed=1)
+    assert done["kills"] == 25
+    assert done["half_written"] > 4
+    assert done["looks"] > 25
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_build_keeps_what_it_scored(tmp_path, labels, number):
-    process = start(SLOW, tmp_path / "t", labels)
-    while not list((tmp_path / "t").glob("small/.staging-*")):
-        time.sleep(0.01)
-    time.sleep(0.7)
+def test_an_interrupted_build_keeps_what_it_scored(tmp_path, labels, start, number):
+    process = start(STUCK, tmp_path / "t", labels)
     process.send_signal(number)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
@@ -83,13 +114,13 @@ def test_an_interrupted_build_keeps_what_it_scored(tmp_path, labels, number):
     assert "Traceback" not in said
     scorer = HashScorer()
     report = build(tables=tmp_path / "t", labels=labels, scorer=scorer)
-    assert report.sentences_cached > 0
-    assert report.sentences_cached + len(scorer.asked) == 46
+    assert report.sentences_cached == 5
+    assert len(scorer.asked) == 46 - 5
     assert list((tmp_path / "t" / "small").glob(".staging-*")) == []
 
 
-def test_the_second_build_says_who_holds_the_lock(tmp_path, labels):
-    process = start(HOLD, tmp_path, 60)
+def test_the_second_build_says_who_holds_the_lock(tmp_path, labels, start):
+    process = start(HOLD, tmp_path)
     said = rf"is being built by process {process.pid} on .* since 20.*--wait"
     with pytest.raises(StoreError, match=said):
         build(tables=tmp_path, labels=labels, scorer=HashScorer())
@@ -101,9 +132,23 @@ def test_the_second_build_says_who_holds_the_lock(tmp_path, labels):
     assert (tmp_path / ".build-lock").read_text() == ""
 
 
-def test_the_second_build_waits_when_asked(tmp_path, labels):
-    process = start(HOLD, tmp_path, 1)
-    report = build(tables=tmp_path, labels=labels, scorer=HashScorer(), wait=True)
+def test_the_second_build_waits_when_asked(tmp_path, labels, start):
+    process = start(HOLD, tmp_path)
+
+    class Release(logging.Handler):
+        """Lets the holder go when the build says that it waits."""
+
+        def emit(self, record):
+            if "waiting for it" in record.getMessage():
+                process.stdin.close()
+
+    handler = Release()
+    logging.getLogger("roomtables").addHandler(handler)
+    try:
+        report = build(tables=tmp_path, labels=labels, scorer=HashScorer(), wait=True)
+    finally:
+        logging.getLogger("roomtables").removeHandler(handler)
+    assert process.stdin.closed
     assert process.wait() == 0
     assert report.published
 

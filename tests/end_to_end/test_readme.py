@@ -1,20 +1,16 @@
 """The README shows what the demo really prints."""
 
-import importlib.util
 import re
-from pathlib import Path
 
 import pytest
 
-_SPEC = importlib.util.spec_from_file_location("demo", Path(__file__).with_name("demo_output.py"))
-demo = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(demo)
+from end_to_end.demo_output import as_block, demo_output, in_readme
 
 NUMBER = re.compile(r"\d+\.\d+")
 
 
 def test_the_demo_in_the_readme_is_what_it_prints():
-    shown, found = demo.in_readme(), demo.as_block(demo.demo_output())
+    shown, found = in_readme(), as_block(demo_output())
     # Another processor may round the last digits of a probability otherwise.
     assert _words(shown) == _words(found)
     numbers = [[float(number) for number in NUMBER.findall(text)] for text in (shown, found)]

@@ -1,23 +1,19 @@
 """docs/sql.md shows what its queries really print."""
 
-import importlib.util
 import re
-from pathlib import Path
 
 import pytest
 
-_SPEC = importlib.util.spec_from_file_location("sql_page", Path(__file__).with_name("sql_page.py"))
-sql_page = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(sql_page)
+from end_to_end.sql_page import PAGE, answers, queries
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
 def test_the_output_on_the_page_is_what_the_queries_print():
     pytest.importorskip("torch")
-    asked = sql_page.queries(sql_page.PAGE.read_text(encoding="utf-8"))
+    asked = queries(PAGE.read_text(encoding="utf-8"))
     assert len(asked) == 10
-    found = sql_page.answers([query for query, _ in asked])
+    found = answers([query for query, _ in asked])
     for (query, shown), printed in zip(asked, found, strict=True):
         assert _words(shown) == _words(printed), query
         # Another processor may round the last digit otherwise.

@@ -1,29 +1,218 @@
-"""Where sentences are scored: in this process, or on Ray's actors. Either fills the same cache."""
+"""Where sentences are scored: in this process, or by Ray's actors. Both fill the same cache.
+
+On Ray, the driver (the process that builds) cuts what is to be scored into shard files; an actor
+(a worker process that holds one model) scores a shard and writes a part file beside it; the
+driver moves the part into the cache. Driver and actors see the same file system. If an actor
+dies, Ray repeats its shard; if the driver dies, the shards under way are lost, and the next build
+scores them.
+"""
 
 from __future__ import annotations
 
-from roomtables.errors import MissingExtraError
-from roomtables.offline.scoring import Scored, Work, score_locally
+import logging
+import math
+import os
+import re
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from tqdm import tqdm
+
+from roomtables.config import BuildConfig
+from roomtables.errors import (
+    ConfigError,
+    MissingExtraError,
+    ModelError,
+    RoomtablesError,
+    first_line,
+)
+from roomtables.offline.inputs import LazyScorer
+from roomtables.offline.scoring import Scored, Work, check_identity, score_locally, scored
+from roomtables.storage.files import writing
+from roomtables.storage.score_cache import SentenceCache
+
+# As many as the scorer's largest window: sentences share no work across shards.
+SHARD_SENTENCES = 65_536
+# So that the last shards, which not every actor has one of, are a small part of the whole.
+_SHARDS_PER_WORKER = 4
 
 
 def score(work: Work) -> Scored:
-    """Score what is to be scored with the engine of the configuration.
+    """Score table ``todo`` with the engine of the configuration, and append to the cache.
+
+    Ray runs on the cluster that ``RAY_ADDRESS`` names, or else on this machine.
 
     Raises
     ------
     MissingExtraError
         The engine is ``ray`` and Ray is not installed.
+    ConfigError
+        Ray does not start.
     ModelError
         The model cannot be loaded, is another than expected, or gives scores that are not finite.
     StoreError
         A part cannot be written.
     """
-    if work.config.engine == "local":
-        return score_locally(work)
+    return _score_on_ray(work) if work.config.engine == "ray" else score_locally(work)
+
+
+class ShardWriter:
+    """An actor: holds one model and scores shard after shard.
+
+    A :class:`RoomtablesError` is returned as the row's ``error``: if it were raised, Ray would
+    repeat the work and wrap the message.
+    """
+
+    def __init__(self, config: BuildConfig, model: LazyScorer, cache: SentenceCache) -> None:
+        self.cache = cache
+        self.failure = ""
+        try:
+            self.scorer = model.load()
+            check_identity(self.scorer, cache)
+        except RoomtablesError as error:
+            self.failure = str(error)
+
+    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
+        """Score the file ``row["shard"]``; returns how many sentences and tokens, and an error."""
+        if not self.failure:
+            try:
+                return {**self._score(row["shard"]), "error": ""}
+            except RoomtablesError as error:
+                self.failure = str(error)
+        return {"sentences": 0, "tokens": 0, "error": self.failure}
+
+    def _score(self, shard: str) -> dict[str, int]:
+        sentences = pq.read_table(shard).column("sentence").to_pylist()
+        found = list(scored(self.scorer, iter(sentences), len(sentences)))
+        scores = [score for _, score in found]
+        self.cache.append([sentence for sentence, _ in found], scores)
+        return {"sentences": len(scores), "tokens": sum(score.token_count for score in scores)}
+
+
+def _score_on_ray(work: Work) -> Scored:
+    """Score on one actor per GPU, or per CPU where there is no GPU."""
+    ray = _import_ray()
+    run = work.cache.run_folder()
     try:
-        import ray.data  # noqa: F401
+        with redirect_stdout(sys.stderr), _cluster(ray):  # Ray prints when a worker dies
+            workers, needs = _workers(work.config, ray.cluster_resources())
+            shards = _write_shards(work, run.folder, workers)
+            workers = min(workers, len(shards))
+            ray.data.DataContext.get_current().enable_progress_bars = False
+            rows = ray.data.from_items(
+                [{"shard": str(shard.resolve())} for shard in shards],
+                override_num_blocks=len(shards),
+            ).map(
+                ShardWriter,
+                fn_constructor_kwargs={"config": work.config, "model": work.model, "cache": run},
+                compute=ray.data.ActorPoolStrategy(size=workers),
+                **needs,
+            )
+            return _collect(work, rows.iter_rows(), workers)
+    except ray.exceptions.RayError as error:
+        raise ModelError(
+            f"Ray failed: {_reason(error)}; run `roomtables build` to go on"
+        ) from error
+    finally:
+        work.cache.end_runs()
+
+
+def _import_ray() -> Any:
+    """Ray, which takes seconds to import and is an extra.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read when Ray is imported
+    try:
+        import ray.data
     except ImportError as error:
         raise MissingExtraError("`--engine ray`", "ray") from error
-    from roomtables.offline.ray_engine import score_on_ray
+    for name in ("ray", "ray.data"):  # they report every step on stderr, over the progress bar
+        logging.getLogger(name).setLevel(logging.ERROR)
+    return ray
 
-    return score_on_ray(work)
+
+@contextmanager
+def _cluster(ray: Any) -> Iterator[None]:
+    """A running Ray: the caller's own, which stays up, or one that is started and shut down.
+
+    Raises
+    ------
+    ConfigError
+        Ray does not start, or ``RAY_ADDRESS`` is not an address.
+    """
+    if ray.is_initialized():
+        yield
+        return
+    try:
+        ray.init(log_to_driver=False, configure_logging=False)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ConfigError(
+            f"Ray does not start: {first_line(error)}; check RAY_ADDRESS, or drop `--engine ray`"
+        ) from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _workers(config: BuildConfig, cluster: Mapping[str, float]) -> tuple[int, dict[str, float]]:
+    """How many actors the cluster holds, at most those asked for, and what each takes of it."""
+    gpus = int(cluster.get("GPU", 0)) if config.device != "cpu" else 0
+    fitting = gpus or max(1, int(cluster.get("CPU", 1)))
+    needs = {"num_gpus": 1.0} if gpus else {"num_cpus": 1.0}
+    return min(config.workers or fitting, fitting), needs
+
+
+def _reason(error: Exception) -> str:
+    """The exception an actor raised, out of Ray's report of it, or else the report's first line."""
+    raised = re.search(r"^[\w.]+(Error|Exception): .*", str(error), re.MULTILINE)
+    return raised.group()[:200] if raised else first_line(error)
+
+
+def _write_shards(work: Work, folder: Path, workers: int) -> list[Path]:
+    """The sentences of ``todo`` as Parquet files for the actors to read."""
+    size = min(SHARD_SENTENCES, math.ceil(work.total / (workers * _SHARDS_PER_WORKER)))
+    shards: list[Path] = []
+    sentences = work.sentences()
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        while chunk := list(islice(sentences, size)):
+            shards.append(folder / f"shard-{len(shards):06d}.parquet")
+            pq.write_table(pa.table({"sentence": pa.array(chunk, pa.string())}), shards[-1])
+    return shards
+
+
+def _collect(work: Work, rows: Iterable[Mapping[str, Any]], workers: int) -> Scored:
+    """Take each shard's scores into the cache as the actors finish it.
+
+    Raises
+    ------
+    ModelError
+        An actor reports an error; what the others have scored is kept.
+    """
+    done = Scored(workers=workers)
+    started = time.monotonic()
+    bar = tqdm(
+        total=work.total, unit="sentence", desc="scoring", disable=not work.progress, leave=False
+    )
+    with bar:
+        for row in rows:
+            work.cache.adopt()
+            if row["error"]:
+                raise ModelError(row["error"])
+            done.sentences += row["sentences"]
+            done.tokens += row["tokens"]
+            bar.update(row["sentences"])
+    done.seconds = time.monotonic() - started
+    return done
