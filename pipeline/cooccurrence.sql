@@ -1,7 +1,23 @@
 -- One row per source, object, room: how the object's probability spreads over all rooms.
--- proxy: softmax over rooms of the single-object sentence's score (paper equation 2).
+-- proxy: softmax over rooms of the single-object sentence's score S (paper equation 2), which is the
+-- model's, or comes from the imported table `scores`.
 -- ground_truth: counts with additive smoothing.
-with proxy_shifted as (
+with single_scores as (
+    select object, room, score
+    from scores
+    union all
+    select
+        single_sentences.object,
+        single_sentences.room,
+        case (select reduction from parameters)
+            when 'mean' then sentence_scores.log_prob / sentence_scores.token_count
+            else sentence_scores.log_prob
+        end as score
+    from single_sentences
+    join sentence_scores using (sentence)
+),
+
+proxy_shifted as (
     select
         object,
         room,

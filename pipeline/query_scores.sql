@@ -1,24 +1,25 @@
--- One row per source, combination: the score of its query sentence for each predicted room.
+-- One row per source, combination: the score of its query sentence, in a column per predicted room.
 with scored as (
     select
-        queries.source,
-        queries.key,
-        queries.room_position,
+        query_sentences.source,
+        query_sentences.key,
+        query_sentences.room,
         case (select reduction from parameters)
             when 'mean' then sentence_scores.log_prob / sentence_scores.token_count
             else sentence_scores.log_prob
         end::float as score
-    from queries
+    from query_sentences
     join sentence_scores using (sentence)
 ),
 
 per_combination as (
-    select source, key, list(score order by room_position) as scores
-    from scored
+    pivot scored
+    on room in (select label from rooms where predicted order by label)
+    using any_value(score)
     group by source, key
 )
 
-select combinations.source, combinations.key, combinations.objects, per_combination.scores
-from combinations
+select queries.objects, per_combination.*
+from queries
 join per_combination using (source, key)
 order by source, key

@@ -3,9 +3,9 @@
 -- For ground_truth it is the same taste: the query sentences are scored by the same model.
 with predicted_scores as (
     select s.object, s.room, s.score, max(s.score) over (partition by s.object) as highest
-    from single_scores as s
+    from cooccurrence as s
     join rooms on rooms.label = s.room
-    where rooms.predicted
+    where s.source = 'proxy' and rooms.predicted
 ),
 
 log_probabilities as (

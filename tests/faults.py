@@ -73,7 +73,7 @@ def digest(tables: Path) -> tuple[Job, str]:
     # Entropies are sums, and the order of their terms is DuckDB's: equal to a tolerance only.
     for array in (arrays.keys, arrays.scores, arrays.entropy.round(9), arrays.ranks):
         content.update(array.tobytes())
-    return (version.manifest["k"], version.manifest["scorer_id"]), content.hexdigest()
+    return (version.manifest.settings.k, version.manifest.scorer_id), content.hexdigest()
 
 
 @dataclass

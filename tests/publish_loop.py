@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from roomtables import RoomTables
 from roomtables.config import BuildConfig
 from roomtables.labels import LabelSpace
-from roomtables.schemas import SCHEMA_VERSION
-from roomtables.storage.files import utc_now
 from roomtables.storage.lookup import pack_keys
-from roomtables.storage.lookup_writer import ScoreChunks, write_lookup
+from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup
 from roomtables.storage.versions import LOOKUP, SpaceFolder
+from support import made_manifest
 
 OBJECTS = ("bed", "lamp", "sink")
 ROOMS = ("bathroom", "bedroom", "kitchen", "office", "yard")
@@ -35,15 +34,16 @@ _PADDING = 60_000  # further rows, so that the files are large enough to be mapp
 def publish(tables: Path, generation: int) -> None:
     """Publish a version that answers every combination with room number ``generation`` modulo 5.
 
-    So do its scores of single objects; the manifest and the bias hold the generation itself.
+    So do its scores of single objects; the bias holds the generation itself, and so does the
+    manifest, as its number of sentences.
     """
     space = LabelSpace.named("loop", OBJECTS, ROOMS)
     folder = SpaceFolder(tables, space.name)
-    settings: dict[str, Any] = {"k": 3, "template": BuildConfig().template, "reduction": "sum"}
-    manifest = settings | _manifest(space) | {"generation": generation}
+    built = BuildConfig()
+    settings = LookupSettings(**{name: getattr(built, name) for name in LookupSettings._fields})
     with folder.staging() as staging:
-        source = _source(generation)
-        manifest |= write_lookup(staging / LOOKUP, space, settings, {"proxy": source})
+        write_lookup(staging / LOOKUP, space, settings, {"proxy": _source(generation)})
+        manifest = made_manifest(staging, labels=space.name, sentences=generation)
         folder.publish(staging, folder.new_name("generate"), manifest)
     folder.remove_old()
 
@@ -68,20 +68,6 @@ def _source(generation: int) -> tuple[dict[str, NDArray[Any]], ScoreChunks]:
     return arrays, ScoreChunks(len(keys), len(ROOMS), [(keys, scores)])
 
 
-def _manifest(space: LabelSpace) -> dict[str, Any]:
-    """The manifest of a version that no build made, without its settings."""
-    decision = ("source", "rule", "prior_weight", "evidence_power")
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "labels": space.name,
-        "created": utc_now(),
-        "scorer_id": "made-up",
-        "query_scorer_id": "made-up",
-        "model": {"model": "made-up"},
-        "decision": {name: getattr(BuildConfig(), name) for name in decision},
-    }
-
-
 def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:
     """Open and classify until ``stop`` is set.
 
@@ -92,7 +78,7 @@ def read(tables: Path, ready: Any, stop: Any, results: Any) -> None:
     while not stop.is_set():
         try:
             opened = RoomTables.open(tables, "loop", offline=True, note_misses=False)
-            generation = int(opened.version.manifest["generation"])
+            generation = opened.version.manifest.sentences
             expected = ROOMS[generation % len(ROOMS)]
             found = {
                 opened.deciding(rule=r).classify(["lamp", "bed"]).room for r in ("query", "pooled")

@@ -6,8 +6,11 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from roomtables.config import BuildConfig
 from roomtables.labels import LabelSpace, RoomLabel
 from roomtables.scorer import SentenceScore
+from roomtables.storage.files import utc_now
+from roomtables.storage.manifest import FileFacts, Manifest
 
 
 class HashScorer:
@@ -54,3 +57,16 @@ def write_space(folder: Path, space: LabelSpace) -> Path:
     for name, text in space.csv_files().items():
         (target / name).write_text(text, encoding="utf-8")
     return target
+
+
+def made_manifest(folder: Path, **changes: object) -> Manifest:
+    """A manifest of the files in a folder, as of a build that did nothing else."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    values: dict[str, object] = {
+        "labels": "home", "created": utc_now(), "seconds": 0.0, "settings": BuildConfig(),
+        "stages": {}, "scorer_id": "hash@1", "query_scorer_id": "hash@1", "model": {},
+        "score_parts": (), "rate": None, "objects": 4, "rooms": 4, "predicted_rooms": 3,
+        "rows": {}, "combinations": {"proxy": 0}, "sentences": 0, "sentences_scored": 0,
+        "files": {path.relative_to(folder).as_posix(): FileFacts.of(path) for path in files},
+    }  # fmt: skip
+    return Manifest(**values | changes)  # type: ignore[arg-type]

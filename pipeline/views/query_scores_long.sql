@@ -1,12 +1,11 @@
 -- One row per source, combination, predicted room: the score, and the softmax over the rooms.
 with long as (
-    select
-        source,
-        key,
-        objects,
-        unnest((select list(label order by label) from rooms where predicted)) as room,
-        unnest(scores)::double as score
-    from query_scores
+    select source, key, objects, room, score::double as score
+    from (
+        unpivot query_scores
+        on columns(* exclude (source, key, objects))
+        into name room value score
+    )
 ),
 
 shifted as (

@@ -1,7 +1,18 @@
 """A language model's common sense about rooms, as tables.
 
 Offline, ``build`` asks a language model and writes tables; online, ``RoomTables`` labels a room by
-a lookup. Names are loaded on first use, so that a robot imports numpy and nothing heavier.
+a lookup.
+
+>>> from roomtables import RoomTables, build
+>>> report = build(labels="mpcat40", combinations="none")  # into ./tables, by the embedded model
+>>> report.sentences_scored  # "A room containing toilets is called a bathroom.", …
+945
+>>> tables = RoomTables.open("tables", labels="mpcat40")
+>>> prediction = tables.classify(["toilet", "sink", "towel"])
+>>> prediction.room, prediction.answered_by  # no table holds these three, so the model was asked
+('bathroom', 'lm')
+
+Names are loaded on first use, so that a robot imports numpy and nothing heavier.
 """
 
 from __future__ import annotations

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 from roomtables.errors import ConfigError, LabelSpaceError
 from roomtables.labels import LabelSpace
 from roomtables.schemas import REDUCTIONS, RULES, SOURCES
+from roomtables.scorer import DTYPES, SCORINGS
 from roomtables.sentences import DEFAULT_TEMPLATE, Template
 
-DTYPES = ("float32", "float16", "bfloat16", "float64")
-SCORINGS = ("causal", "pll", "pll_word_l2r")
 ENGINES = ("local", "ray")
 _CHOICES = {
     "dtype": DTYPES,
@@ -78,7 +76,7 @@ class BuildConfig:
     device: str = "auto"
     scoring: str | None = None
     token_budget: int | None = None
-    template: str = DEFAULT_TEMPLATE
+    template: tuple[str, ...] = (DEFAULT_TEMPLATE,)
     reduction: str = "sum"
     smoothing: float | None = None
     k: int = 3
@@ -92,7 +90,7 @@ class BuildConfig:
     engine: str = "local"
     workers: int = 0
     full_refresh: bool = False
-    stages: tuple[str, ...] = field(default=())
+    stages: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
@@ -108,7 +106,9 @@ class BuildConfig:
         if self.workers < 0:
             raise ConfigError(f"workers must be 0 (as many as fit) or more, not {self.workers}")
         check_decision(self.prior_weight, self.evidence_power)
-        Template(self.template)
+        if len(self.template) != 1:
+            raise ConfigError(f"template must be one sentence, not {len(self.template)}")
+        Template(self.template[0])
 
     @classmethod
     def load(cls, path: Path | None = None, **options: Any) -> BuildConfig:
@@ -123,7 +123,43 @@ class BuildConfig:
         if path is not None:
             values |= _read_toml(path)
         values |= {name: value for name, value in options.items() if value is not None}
-        return cls(**{name: _typed(name, value, path) for name, value in values.items()})
+        return cls.of(values, path or "build.toml")
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], where: Path | str) -> BuildConfig:
+        """Settings by name, each checked for its type; ``where`` they stand, for the message.
+
+        Raises
+        ------
+        ConfigError
+            A name is no setting, or a value is of the wrong type or outside its range.
+        """
+        return cls(**{name: _typed(name, value, where) for name, value in values.items()})
+
+    @classmethod
+    def recorded_names(cls) -> frozenset[str]:
+        """The settings that a manifest records.
+
+        Left out are ``stages``, which a manifest records with what each of them read, and
+        ``full_refresh``, which says how to build and not what.
+        """
+        return _NAMES - {"stages", "full_refresh"}
+
+    def recorded(self) -> dict[str, Any]:
+        """The settings as a manifest records them: by name, as JSON holds values."""
+        values = {name: getattr(self, name) for name in self.recorded_names()}
+        paths = {name: str(value) for name, value in values.items() if isinstance(value, Path)}
+        return values | paths | {"template": list(self.template)}
+
+    def changed(self, **options: Any) -> BuildConfig:
+        """The settings with some replaced, by name.
+
+        Raises
+        ------
+        ConfigError
+            As :meth:`of`.
+        """
+        return replace(self, **{n: _typed(n, v, "build options") for n, v in options.items()})
 
 
 def check_decision(prior_weight: float, evidence_power: float) -> None:
@@ -140,7 +176,16 @@ def check_decision(prior_weight: float, evidence_power: float) -> None:
         raise ConfigError(f"evidence power must be 0 or more, not {evidence_power}")
 
 
+def default_stages() -> dict[str, tuple[str, ...]]:
+    """The stages of the package's ``build.toml``: each stage's name, and what it reads."""
+    path = pipeline_folder() / "build.toml"
+    stages: dict[str, tuple[str, ...]] = _typed("stages", _read_toml(path)["stages"], path)
+    return stages
+
+
 def _read_toml(path: Path) -> dict[str, Any]:
+    import tomllib  # Python 3.11; a lookup reads no TOML
+
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -149,29 +194,49 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
 
 
+_NAMES = frozenset(known.name for known in fields(BuildConfig))
 _TYPES: Mapping[str, tuple[type, ...]] = {
     "k": (int,),
     "token_budget": (int,),
     "workers": (int,),
-    "smoothing": (int, float),
-    "prior_weight": (int, float),
-    "evidence_power": (int, float),
+    "smoothing": (float, int),
+    "prior_weight": (float, int),
+    "evidence_power": (float, int),
     "full_refresh": (bool,),
-    "stages": (list, tuple),
+    "template": (str, list, tuple),
 }
+_OPTIONAL = frozenset(known.name for known in fields(BuildConfig) if known.default is None)
 
 
-def _typed(name: str, value: Any, path: Path | None) -> Any:
+def _typed(name: str, value: Any, where: Path | str) -> Any:
     """The value as its field holds it, or an error that names key and file."""
-    where = path or "build.toml"
-    if name not in {known.name for known in fields(BuildConfig)}:
+    if name not in _NAMES:
         raise ConfigError(f"{where}: unknown key `{name}`")
+    if name == "stages":
+        return _stages(value, where)
+    if value is None and name in _OPTIONAL:
+        return None
     expected: tuple[type, ...] = _TYPES.get(name, (str, Path))
     fits = isinstance(value, expected) and (expected == (bool,) or not isinstance(value, bool))
     if not fits:
         raise ConfigError(f"{where}: `{name}` must be {expected[0].__name__}, not {value!r}")
     if name in _PATHS:
         return Path(value)
-    if name == "stages":
-        return tuple(value)
+    if name == "template":
+        return _texts(name, [value] if isinstance(value, str) else value, where)
     return float(value) if float in expected else value
+
+
+def _stages(value: Any, where: Path | str) -> dict[str, tuple[str, ...]]:
+    if not isinstance(value, Mapping):
+        raise ConfigError(
+            f"{where}: `stages` must be a table that says what each stage reads; "
+            "copy `[stages]` from the package's build.toml"
+        )
+    return {str(stage): _texts(f"stages.{stage}", reads, where) for stage, reads in value.items()}
+
+
+def _texts(name: str, value: Any, where: Path | str) -> tuple[str, ...]:
+    if not isinstance(value, list | tuple) or not all(isinstance(text, str) for text in value):
+        raise ConfigError(f"{where}: `{name}` must be a list of strings, not {value!r}")
+    return tuple(value)

@@ -8,17 +8,17 @@ empty is derived. Labels are held sorted, so the order of a file changes nothing
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 from roomtables import english
 from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError, LabelSpaceError
+from roomtables.schemas import RESERVED_ROOMS, RESERVED_SPACES
 
 OBJECT_COLUMNS = ("object", "plural", "synonyms")
 ROOM_COLUMNS = ("room", "article", "synonyms", "predicted")
@@ -32,6 +32,17 @@ _TRUTH_WORDS = {"": True, "true": True, "1": True, "yes": True} | {
 def normalise(text: str) -> str:
     """A label as it is compared: lower case, ``_`` as a space, single spaces, none around it."""
     return " ".join(text.replace("_", " ").casefold().split())
+
+
+# How a name is read: as the label, as a plural (or the singular of a plural), or as a synonym.
+LABEL, PLURAL, SYNONYM = "label", "plural", "synonym"
+
+
+class Name(NamedTuple):
+    """What a name stands for: a label, and how it was read."""
+
+    label: str
+    how: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +86,8 @@ class LabelSpace:
     Raises
     ------
     LabelSpaceError
-        No object, no predicted room, a label twice, or a synonym that two labels claim.
+        No object, no predicted room, a label twice, a synonym that two labels claim, or a name that
+        the tables use themselves.
     """
 
     name: str
@@ -89,6 +101,7 @@ class LabelSpace:
             raise LabelSpaceError(f"label space {self.name} has no object; add one to objects.csv")
         if not self.predicted_rooms:
             raise LabelSpaceError(f"label space {self.name} has no predicted room; see rooms.csv")
+        _check_reserved(self)
         _check_distinct(self.objects, f"label space {self.name}, objects.csv")
         _check_distinct(self.rooms, f"label space {self.name}, rooms.csv")
 
@@ -98,21 +111,19 @@ class LabelSpace:
         return tuple(room for room in self.rooms if room.predicted)
 
     @cached_property
+    def object_names(self) -> dict[str, Name]:
+        """Every name of an object that is read as it stands, normalised: table ``names``."""
+        return names_of_objects(self.objects)
+
+    @cached_property
     def object_aliases(self) -> dict[str, str]:
         """Every accepted spelling of an object, normalised → its label."""
-        return _aliases(self.objects, {o.label: o.plural for o in self.objects})
+        return {name: found.label for name, found in self.object_names.items()}
 
     @cached_property
     def room_aliases(self) -> dict[str, str]:
         """Every accepted spelling of a room, normalised → its label."""
-        return _aliases(self.rooms, {})
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """SHA-256 over everything that a table can depend on."""
-        rows: list[object] = [[o.label, o.plural, o.synonyms] for o in self.objects]
-        rows += [[r.label, r.article, r.synonyms, r.predicted] for r in self.rooms]
-        return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
+        return {name: found.label for name, found in _names(self.rooms, {}).items()}
 
     @classmethod
     def load(cls, folder: Path) -> LabelSpace:
@@ -165,6 +176,19 @@ def _by_label(label: ObjectLabel | RoomLabel) -> str:
     return label.label
 
 
+def _check_reserved(space: LabelSpace) -> None:
+    if space.name in RESERVED_SPACES:
+        raise LabelSpaceError(
+            f"label space {space.name!r}: the tables folder uses this name itself; rename it"
+        )
+    for room in space.rooms:
+        if room.label in RESERVED_ROOMS:
+            raise LabelSpaceError(
+                f"label space {space.name}, rooms.csv: a room cannot be called {room.label!r}, "
+                "which is a column of the query scores; give it another name"
+            )
+
+
 def _check_distinct(labels: Sequence[ObjectLabel | RoomLabel], where: str) -> None:
     owner: dict[str, str] = {}
     for label in labels:
@@ -180,19 +204,25 @@ def _check_distinct(labels: Sequence[ObjectLabel | RoomLabel], where: str) -> No
                 )
 
 
-def _aliases(
+def names_of_objects(objects: Sequence[ObjectLabel]) -> dict[str, Name]:
+    """Every name of some objects that is read as it stands, normalised → what it stands for."""
+    return _names(objects, {o.label: o.plural for o in objects})
+
+
+def _names(
     labels: Sequence[ObjectLabel | RoomLabel], plurals: Mapping[str, str]
-) -> dict[str, str]:
+) -> dict[str, Name]:
     """What is written wins over what is derived; among derived ones the label that sorts first."""
-    written: dict[str, str] = {}
-    inflected: dict[str, str] = {}
+    written: dict[str, Name] = {}
+    inflected: dict[str, Name] = {}
     for label in labels:
         names = [label.label, *label.synonyms]
-        written |= {normalise(name): label.label for name in names}
+        written |= {normalise(name): Name(label.label, SYNONYM) for name in label.synonyms}
+        written[normalise(label.label)] = Name(label.label, LABEL)
         forms = {plurals.get(label.label)}
         forms.update(map(english.pluralise, names), map(english.singular, names))
         for form in forms - {None}:
-            inflected.setdefault(normalise(str(form)), label.label)
+            inflected.setdefault(normalise(str(form)), Name(label.label, PLURAL))
     return inflected | written
 
 

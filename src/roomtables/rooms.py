@@ -1,4 +1,4 @@
-"""A room as every part of roomtables sees it, and the JSON lines that carry rooms in.
+"""A room, as every part of roomtables takes it, and JSON lines of rooms.
 
 One line is ``{"room_id": …, "room"?: …, "objects": […]}``; ``room`` is the ground truth, a label or
 several (a list, or ``a;b``), any of which is right. Beside ``objects`` a line may carry
@@ -26,7 +26,7 @@ class Room:
     """One room: its id, the labels of the objects in it, and the true room labels where known.
 
     ``measures`` holds the line's ``counts`` and ``confidences`` as they stand there, one entry per
-    object; they are looked at only by who asks for them (:meth:`measured`).
+    object; :meth:`measured` checks them.
     """
 
     room_id: str

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 GROUND_TRUTH = "ground_truth"
 PROXY = "proxy"
@@ -30,12 +31,23 @@ class Column(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A table: one row per what, which columns, and the columns that identify a row."""
+    """A table: one row per what, which columns, and the columns that identify a row.
+
+    ``per_room`` is what follows the columns: one more for each predicted room, named by its label.
+    """
 
     name: str
     grain: str
     columns: tuple[Column, ...]
     key: tuple[str, ...]
+    per_room: Column | None = None
+
+    def columns_for(self, predicted_rooms: Iterable[str]) -> tuple[Column, ...]:
+        """The columns of a label space's table, given the labels of its predicted rooms."""
+        if self.per_room is None:
+            return self.columns
+        rooms = (self.per_room._replace(name=room) for room in predicted_rooms)
+        return (*self.columns, *rooms)
 
 
 TABLES = (
@@ -112,9 +124,19 @@ TABLES = (
             Column("source", "varchar", "whose entropies chose and ordered the objects"),
             Column("key", "ubigint", "the objects' ranks, packed, most informative first"),
             Column("objects", "varchar[]", "object labels, in sentence order"),
-            Column("scores", "float[]", "S of the query sentence, one per predicted room, nats"),
         ),
         ("source", "key"),
+        Column("a column per predicted room", "float", "S of its query sentence, in nats"),
+    ),
+    Table(
+        "names",
+        "one row per name that a lookup can read without taking it apart",
+        (
+            Column("name", "varchar", "the name, in lower case"),
+            Column("object", "varchar", "label of the object that it names"),
+            Column("how", "varchar", "label, plural (or singular of a plural label), or synonym"),
+        ),
+        ("name",),
     ),
     Table(
         "misses",
@@ -130,7 +152,22 @@ TABLES = (
 )
 TABLE_BY_NAME = {table.name: table for table in TABLES}
 # What a version publishes: the sentence scores are shared by all label spaces, the misses are live.
-VERSION_TABLES = ("objects", "rooms", "cooccurrence", "entropy", "room_bias", "query_scores")
+VERSION_TABLES = (
+    "objects", "rooms", "names", "cooccurrence", "entropy", "room_bias", "query_scores",
+)  # fmt: skip
+# Names that are taken: of folders under a tables folder, and of columns beside those of the rooms.
+RESERVED_SPACES = frozenset({"scores"})
+RESERVED_ROOMS = frozenset(column.name for column in TABLE_BY_NAME["query_scores"].columns)
+
+
+def literal(text: object) -> str:
+    """A string as SQL writes it."""
+    return "'" + str(text).replace("'", "''") + "'"
+
+
+def identifier(name: str) -> str:
+    """A column's or a table's name as SQL writes it, whatever stands in it."""
+    return '"' + name.replace('"', '""') + '"'
 
 
 def data_dictionary() -> str:
@@ -144,8 +181,14 @@ def data_dictionary() -> str:
     for table in TABLES:
         lines += ["", f"## {table.name}", f"{table.grain}; key: {', '.join(table.key)}", ""]
         lines += ["| column | type | meaning |", "|---|---|---|"]
-        lines += [f"| {c.name} | {c.type} | {c.meaning} |" for c in table.columns]
+        columns = (*table.columns, *((table.per_room,) if table.per_room else ()))
+        lines += [f"| {c.name} | {c.type} | {_cell(c.meaning)} |" for c in columns]
     return "\n".join(lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    """A text in a cell of a Markdown table, where a bar would end the cell."""
+    return text.replace("|", r"\|")
 
 
 if __name__ == "__main__":

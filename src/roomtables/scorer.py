@@ -1,13 +1,20 @@
-"""What roomtables asks of a language model: the log probability of a sentence, and who said it.
+"""What roomtables asks of a language model: the log probability of a sentence.
 
-This module knows no tensors. ``roomtables.lm`` implements the protocol; tests implement it with a
-few lines of arithmetic.
+``roomtables.lm`` implements the protocol with torch; tests implement it with a few lines of
+arithmetic. Importing this module loads neither torch nor numpy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
+
+DTYPES = ("float32", "float16", "bfloat16", "float64")
+"""Number formats that a language model can compute in."""
+
+SCORINGS = ("causal", "pll", "pll_word_l2r")
+"""How a sentence is scored: left to right (causal models), or as a pseudo-log-likelihood (masked
+models), plain or with the rest of a word masked along with its earlier pieces."""
 
 
 class SentenceScore(NamedTuple):

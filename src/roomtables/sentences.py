@@ -1,6 +1,7 @@
-"""The only place where sentences are composed (paper equation 5).
+"""The sentence about objects and a room (paper equation 5), made of a template.
 
-"A room containing o1, o2, and ok is called a(n) r."
+"A room containing o1, o2, and ok is called a(n) r." A build, which needs millions of them, lets SQL
+put each together from :meth:`Template.around_room` and the room's phrase.
 """
 
 from __future__ import annotations

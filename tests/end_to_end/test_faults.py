@@ -268,7 +268,7 @@ def test_a_link_to_the_tables_folder_itself_is_fine(tmp_path, labels):
     (tmp_path / "disk").mkdir()
     (tmp_path / "t").symlink_to(tmp_path / "disk")
     build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
-    assert SpaceFolder(tmp_path / "t", "small").current().manifest["labels"] == "small"
+    assert SpaceFolder(tmp_path / "t", "small").current().manifest.labels == "small"
 
 
 def test_names_that_are_not_text(tmp_path, labels):

@@ -6,6 +6,7 @@ import shutil
 import pytest
 
 from roomtables import build
+from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 
@@ -38,6 +39,7 @@ def test_status_tells_old_from_new(shell, tables, space):
     manifest = next(tables.glob("small/0*3-*/manifest.json"))
     found = json.loads(manifest.read_text())
     manifest.write_text(json.dumps(found | {"created": "2999-01-01T00:00:00+00:00"}))
+    SpaceFolder(tables, "small").point_at(manifest.parent)
     assert "in the future" in shell("status", *options, "--max-age", "26h", code=1)
     (manifest.parent / "rooms.parquet").write_bytes(b"")
     assert "rooms.parquet is damaged" in shell("status", *options, "--verify", code=1)

@@ -9,14 +9,14 @@ def test_the_shipped_file_is_the_defaults():
     assert (config.labels, config.model, config.k) == ("mpcat40", "household-lm", 3)
     assert (config.reduction, config.source) == ("sum", "proxy")
     assert config.evidence_power == 3
-    assert config.stages[0] == "objects"
+    assert config.template == ("A room containing {objects} is called {room}.",)
+    assert next(iter(config.stages)) == "objects"
 
 
 def test_every_sql_stage_has_its_file():
     stages = BuildConfig.load().stages
-    in_python = {"objects", "rooms", "sentence_scores", "lookup"}
-    for stage in set(stages) - in_python:
-        assert (pipeline_folder() / f"{stage}.sql").is_file()
+    in_python = {"objects", "rooms", "names", "sentence_scores", "queries", "lookup"}
+    assert {path.stem for path in pipeline_folder().glob("*.sql")} == set(stages) - in_python
 
 
 def test_options_win_over_the_file_and_the_file_over_defaults(tmp_path):
@@ -37,6 +37,10 @@ def test_options_win_over_the_file_and_the_file_over_defaults(tmp_path):
         ("smoothing = -1", "smoothing"),
         ("smoothing = nan", "smoothing"),
         ("template = 'x'", "template"),
+        ("template = []", "template must be one sentence, not 0"),
+        ("template = [1]", "`template` must be a list of strings"),
+        ("stages = ['objects']", "copy `\\[stages\\]`"),
+        ("[stages]\nobjects = 1", "`stages.objects` must be a list of strings"),
         ("k = ", "not valid TOML"),
         ("evidence_power = -1", "evidence power"),
         ("prior_weight = inf", "prior weight"),

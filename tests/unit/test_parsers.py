@@ -166,7 +166,7 @@ noted = st.dictionaries(
 manifest = (
     st.binary(max_size=60)
     | value.map(lambda v: json.dumps(v).encode())
-    | noted.map(lambda v: json.dumps({"schema_version": 1, **v}).encode())
+    | noted.map(lambda v: json.dumps({"schema_version": 2, **v}).encode())
 )
 pointer = st.binary(max_size=60) | st.sampled_from([b"v", b"v\n", b"../x", b".", b"\x00"])
 

@@ -1,4 +1,4 @@
-"""What commands share: options, errors as one line, and results as table, JSON or CSV."""
+"""What commands share: options, errors and warnings, and results as table, JSON, CSV or names."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from tqdm import tqdm
 
 from roomtables import __version__
 from roomtables.errors import RoomtablesError
@@ -20,9 +21,9 @@ from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.rooms import MEASURES, Room
-from roomtables.scenes.dsg_labels import NamedRoom
+from roomtables.scenes.dsg import NamedRoom
 from roomtables.schemas import RULES, SOURCES
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -65,6 +66,16 @@ output_option = click.option(
     "--output",
     type=click.Path(path_type=Path, dir_okay=False),
     help="Write to a file instead of stdout.",
+)
+labelspace_option = click.option(
+    "--labelspace",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Hydra's label-space YAML, for a graph that does not name its labels.",
+)
+mapping_option = click.option(
+    "--category-mapping",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Matterport's category_mapping.tsv, for the nyuClass of .house files.",
 )
 
 
@@ -175,6 +186,18 @@ def _cell(value: Any, float_format: str) -> str:
     return str(value)
 
 
+class Warnings:
+    """Prints each warning once, above a progress bar."""
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def __call__(self, message: str) -> None:
+        if message not in self._said:
+            self._said.add(message)
+            tqdm.write(f"warning: {message}", file=sys.stderr)
+
+
 _MOST_NAMES = 65_536
 
 
@@ -184,8 +207,8 @@ class Namer:
     def __init__(self, tables: RoomTables) -> None:
         manifest = tables.version.manifest
         self._shared = {
-            "model": manifest["query_scorer_id"] or manifest["scorer_id"],
-            "labels": manifest["labels"],
+            "model": manifest.query_scorer_id or manifest.scorer_id,
+            "labels": manifest.labels,
             "version": tables.version.name,
             "roomtables": __version__,
         }

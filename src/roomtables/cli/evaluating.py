@@ -19,7 +19,14 @@ from roomtables.cli.common import (
     weights_option,
 )
 from roomtables.evaluation import Evaluation, evaluate
-from roomtables.evaluation.comparison import Comparison, Sweep, compare, parse_conditions, sweep
+from roomtables.evaluation.comparison import (
+    Comparison,
+    PairedTest,
+    Sweep,
+    compare,
+    parse_conditions,
+    sweep,
+)
 from roomtables.online.classifier import RoomTables
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
@@ -28,7 +35,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 @click.command("evaluate")
 @click.argument("rooms_file", metavar="ROOMS", type=_FILE)
 @click.option("--compare", "conditions", metavar="RULE:SOURCE,…", help="Several in one run.")
-@click.option("--sweep", "sweeps", is_flag=True, help="Accuracy over k, λ, γ, source, reduction.")
+@click.option("--sweep", "sweeps", is_flag=True, help="Accuracy over k, λ, γ, rule and source.")
 @click.option("--statistics", is_flag=True, help="Add interval, top 3 and calibration to JSON.")
 @click.option("--plot", type=_FILE, help="Draw accuracy per room, or the sweep: .png or .svg.")
 @click.option("--plot-calibration", type=_FILE, help="Draw reliability, and risk over coverage.")
@@ -126,44 +133,44 @@ def _counts(counts: dict[str, int]) -> str:
 
 
 def _comparison_text(compared: Comparison) -> str:
-    rows: list[dict[str, Any]] = []
+    """A table of the conditions, one of the tests between them, one of accuracy per room."""
+    conditions = [_condition_row(found) for found in compared.evaluations]
+    tests = [_test_row(test) for test in compared.paired_tests()]
     per_room: dict[str, dict[str, Any]] = {}
     for found in compared.evaluations:
-        more = found.statistics()
-        interval = more["accuracy_interval"]
-        rows.append(
-            {
-                "condition": found.condition,
-                "rooms": found.rooms,
-                "correct": found.correct,
-                "accuracy": f"{found.accuracy:.1%}",
-                "95 % interval": f"{interval['low']:.1%} to {interval['high']:.1%}",
-                "macro": f"{found.macro_accuracy:.1%}",
-                "top 3": f"{more['top_3_accuracy']:.1%}",
-                "calibration error": f"{more['expected_calibration_error']:.3f}",
-                "unanswered": sum(judged.prediction.room is None for judged in found.judged),
-            }
-        )
         for room, row in found.per_room().items():
             line = per_room.setdefault(room, {"room": room, "rooms": row["rooms"]})
             line[found.condition] = f"{row['accuracy']:.1%}"
-    tests = [
-        {
-            "first": test.first,
-            "second": test.second,
-            "difference": f"{test.difference:+.1%}",
-            "95 % interval": f"{test.low:+.1%} to {test.high:+.1%}",
-            "only first right": test.only_first,
-            "only second right": test.only_second,
-            "McNemar p": f"{test.p_value:.2g}",
-        }
-        for test in compared.paired_tests()
-    ]
-    parts = [render(rows, "table")]
-    if tests:
-        parts.append(render(tests, "table"))
-    parts.append(render([per_room[room] for room in sorted(per_room)], "table"))
-    return "\n".join(parts)
+    parts = [conditions, *([tests] if tests else []), [per_room[room] for room in sorted(per_room)]]
+    return "\n".join(render(rows, "table") for rows in parts)
+
+
+def _condition_row(found: Evaluation) -> dict[str, Any]:
+    more = found.statistics()
+    interval = more["accuracy_interval"]
+    return {
+        "condition": found.condition,
+        "rooms": found.rooms,
+        "correct": found.correct,
+        "accuracy": f"{found.accuracy:.1%}",
+        "95 % interval": f"{interval['low']:.1%} to {interval['high']:.1%}",
+        "macro": f"{found.macro_accuracy:.1%}",
+        "top 3": f"{more['top_3_accuracy']:.1%}",
+        "calibration error": f"{more['expected_calibration_error']:.3f}",
+        "unanswered": sum(judged.prediction.room is None for judged in found.judged),
+    }
+
+
+def _test_row(test: PairedTest) -> dict[str, Any]:
+    return {
+        "first": test.first,
+        "second": test.second,
+        "difference": f"{test.difference:+.1%}",
+        "95 % interval": f"{test.low:+.1%} to {test.high:+.1%}",
+        "only first right": test.only_first,
+        "only second right": test.only_second,
+        "McNemar p": f"{test.p_value:.2g}",
+    }
 
 
 def _sweep_text(swept: Sweep) -> str:

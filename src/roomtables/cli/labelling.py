@@ -11,6 +11,7 @@ import click
 
 from roomtables.cli.common import (
     Synonyms,
+    Warnings,
     as_json,
     as_json_line,
     decision_options,
@@ -18,17 +19,19 @@ from roomtables.cli.common import (
     emit_lines,
     format_option,
     labels_option,
+    labelspace_option,
+    mapping_option,
     output_option,
     render,
     tables_option,
     weights_option,
 )
-from roomtables.cli.scenes import Warnings, house_labels, labelspace_option, mapping_option
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.online.weighing import classify_rooms
 from roomtables.rooms import Room
 from roomtables.scenes import read_rooms
+from roomtables.scenes.matterport_labels import house_labels
 
 _CHUNK = 1024  # rooms whose misses share one pass of the model
 _COLUMNS = (

@@ -10,11 +10,12 @@ import click
 
 from roomtables.cli.common import as_json, emit, format_option, output_option, render
 from roomtables.cli.evaluating import check_plots
-from roomtables.config import DTYPES, BuildConfig
+from roomtables.config import BuildConfig
 from roomtables.evaluation.paper import Reproduction, Trial, reproduce
 from roomtables.online.classifier import RoomTables
 from roomtables.rooms import read_room_lines
 from roomtables.schemas import QUERY, REDUCTIONS
+from roomtables.scorer import DTYPES
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 _ROWS = {"ground_truth": "Ground truth co-occurrences", "proxy": "Proxy co-occurrences"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -16,59 +15,33 @@ from tqdm import tqdm
 from roomtables.cli.common import (
     Namer,
     Synonyms,
+    Warnings,
     as_json_line,
     decision_options,
     emit,
     emit_lines,
     format_option,
     labels_option,
+    labelspace_option,
+    mapping_option,
     output_option,
     render,
     tables_option,
 )
 from roomtables.errors import InputError, StoreError
 from roomtables.online.classifier import RoomTables
-from roomtables.scenes.dsg import dsg_scene
-from roomtables.scenes.dsg_graph import parse_graph
-from roomtables.scenes.dsg_labels import label_rooms
-from roomtables.scenes.matterport import room_frequencies
-from roomtables.scenes.reader import load_graph_document, read_scene, scene_files
+from roomtables.scenes.dsg import graph_scene, label_rooms
+from roomtables.scenes.matterport_labels import house_labels
+from roomtables.scenes.reader import read_graph, read_scene, scene_files
 from roomtables.scenes.room_lists import read_true_rooms, with_true_rooms, write_nested
-from roomtables.scenes.scene import ReadOptions, Scene, SceneRoom
+from roomtables.scenes.scene import ReadOptions, Scene, SceneRoom, room_frequencies
 from roomtables.scenes.sparkdsg import write_sparkdsg
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 scene_argument = click.argument("scene", type=click.Path(path_type=Path))
 graph_output_option = click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False)
 )
-labelspace_option = click.option(
-    "--labelspace",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Hydra's label-space YAML, for a graph that does not name its labels.",
-)
-mapping_option = click.option(
-    "--category-mapping",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Matterport's category_mapping.tsv, for the nyuClass of .house files.",
-)
-
-
-def house_labels(labels: str) -> str:
-    """The label space to read a ``.house`` file in, given the one asked for."""
-    return "nyuclass" if Path(labels).name == "nyuclass" else "mpcat40"
-
-
-class Warnings:
-    """Prints each warning once, above the progress bar."""
-
-    def __init__(self) -> None:
-        self._said: set[str] = set()
-
-    def __call__(self, message: str) -> None:
-        if message not in self._said:
-            self._said.add(message)
-            tqdm.write(f"warning: {message}", file=sys.stderr)
 
 
 @click.command()
@@ -172,8 +145,8 @@ def label(
       roomtables label dsg.json -o labelled.json
     """
     options = ReadOptions(labelspace, warn=Warnings())
-    document = load_graph_document(scene)
-    found = list(dsg_scene(document, scene, options).rooms)
+    graph = read_graph(scene)
+    found = list(graph_scene(graph, scene.stem, options).rooms)
     opened = RoomTables.open(tables, labels, **decision)
     synonyms = Synonyms(opened)
     answers = opened.classify_many(
@@ -181,12 +154,11 @@ def label(
     )
     by_room = {room.room_id: answer for room, answer in zip(found, answers, strict=True)}
     named = Namer(opened)(by_room)
-    graph = parse_graph(document, str(scene))
-    label_rooms(document, graph, named, [room.label for room in opened.candidates])
+    label_rooms(graph, named, [room.label for room in opened.candidates])
     if output.suffix == ".sparkdsg":
-        write_sparkdsg(document, output)
+        write_sparkdsg(graph.document, output)
     else:
-        write_aside(output, json.dumps(document, separators=(",", ":")).encode())
+        write_aside(output, json.dumps(graph.document, separators=(",", ":")).encode())
     synonyms.report()
     click.echo(f"{output}: {len(named)} of {len(found)} rooms named", err=True)
 

@@ -12,8 +12,13 @@ from typing import Any
 
 import click
 
-from roomtables.cli.common import Namer, decision_options, labels_option, tables_option
-from roomtables.cli.scenes import labelspace_option
+from roomtables.cli.common import (
+    Namer,
+    decision_options,
+    labels_option,
+    labelspace_option,
+    tables_option,
+)
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.online.serve import Labeller, Service

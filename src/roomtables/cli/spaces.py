@@ -12,7 +12,7 @@ from roomtables.errors import InputError
 from roomtables.labels import LabelSpace
 from roomtables.rooms import read_room_lines
 from roomtables.scenes.hydra import read_hydra_labels, to_label_space
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 
 @click.group()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -73,10 +74,10 @@ def status(
 
 
 def _check_age(version: Version, max_age: timedelta) -> None:
-    age = datetime.now(UTC) - version.created
+    age = datetime.now(UTC) - version.manifest.created
     if age < -_CLOCK_SKEW:
         raise StoreError(
-            f"{version.path} is dated {version.manifest['created']}, in the future; "
+            f"{version.path} is dated {version.manifest.created.isoformat()}, in the future; "
             "see what the clock says (`date -u`)"
         )
     if age > max_age:
@@ -92,41 +93,22 @@ def _hours(age: timedelta) -> str:
 
 def _describe(version: Version) -> dict[str, Any]:
     manifest = version.manifest
-    model = manifest["model"]
-    held = sum(manifest["combinations"].values())
     return {
-        "labels": manifest["labels"],
+        "labels": manifest.labels,
         "version": version.name,
-        "created": manifest["created"],
-        "age_hours": round((datetime.now(UTC) - version.created).total_seconds() / 3600, 2),
-        "scorer_id": manifest["scorer_id"],
-        "query_scorer_id": manifest["query_scorer_id"],
-        "model": model["model"],
-        "strategy": model["described"].get("strategy"),
-        "objects": manifest["objects"],
-        "rooms": manifest["rooms"],
-        "predicted_rooms": manifest["predicted_rooms"],
-        "sources": list(manifest["combinations"]),
-        "combinations": held,
-        "coverage": _coverage(manifest),
+        "created": manifest.created.isoformat(),
+        "age_hours": round((datetime.now(UTC) - manifest.created).total_seconds() / 3600, 2),
+        "scorer_id": manifest.scorer_id,
+        "query_scorer_id": manifest.query_scorer_id,
+        "model": manifest.settings.model,
+        "strategy": manifest.model.get("strategy"),
+        "objects": manifest.objects,
+        "rooms": manifest.rooms,
+        "predicted_rooms": manifest.predicted_rooms,
+        "sources": list(manifest.combinations),
+        "combinations": sum(manifest.combinations.values()),
+        "coverage": asdict(manifest.coverage),
         "bytes": sum(path.stat().st_size for path in version.path.rglob("*") if path.is_file()),
-    }
-
-
-def _coverage(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """How many of the possible combinations are held, and what scoring the rest would take."""
-    from roomtables.offline.combinations import count_all
-
-    held = sum(manifest["combinations"].values())
-    sources = len(manifest["combinations"])
-    possible = sources * count_all(manifest["objects"], manifest["k"])
-    sentences = (possible - held) * manifest["predicted_rooms"]
-    speed = (manifest.get("rate") or {}).get("sentences_per_second")
-    return {
-        "combinations": possible,
-        "held": held,
-        "rest_sentences": sentences,
-        "rest_seconds": round(sentences / speed, 1) if speed else None,
     }
 
 
@@ -204,7 +186,7 @@ def rollback(tables: Path, labels: str, format_: str) -> None:
 
     left, now = roll_back(tables, Path(labels).name)
     if format_ == "json":
-        emit(as_json({"labels": now.manifest["labels"], "version": now.name, "left": left.name}))
+        emit(as_json({"labels": now.manifest.labels, "version": now.name, "left": left.name}))
     else:
         click.echo(f"published {now.name} of {now.path.parent}; {left.name} stays until `gc`")
 
@@ -235,7 +217,7 @@ def diff(
       roomtables diff --top 10
       roomtables diff 000001-1f3c5a77 000004-9b2e0c1d
     """
-    from roomtables.offline.upkeep import compare
+    from roomtables.offline.diff import compare
 
     space = SpaceFolder(tables, Path(labels).name)
     newer = space.named(after) if after else space.current()

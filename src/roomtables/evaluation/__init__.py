@@ -1,4 +1,4 @@
-"""How often the answer is right: judging, comparing, sweeping, and the paper's own conditions."""
+"""How often the answer is right: one decision, several compared, a sweep, the paper's tables."""
 
 from roomtables.evaluation.judging import Evaluation, Judged, evaluate
 

@@ -1,23 +1,33 @@
-"""Several rules and sources on the same rooms: how each does, and whether they really differ."""
+"""The same rooms under several decisions: chosen conditions compared, or a grid of settings swept.
+
+:func:`compare` judges a few (rule, source) conditions and tests, pair by pair, whether they differ
+by more than chance. :func:`sweep` judges a grid of settings (k, λ, γ, rule, source) from the tables
+alone.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from roomtables.errors import InputError
-from roomtables.evaluation.judging import Evaluation, evaluate
-from roomtables.evaluation.reduction import with_other_reduction
+from roomtables.evaluation.judging import Evaluation, evaluate, room_list
 from roomtables.evaluation.statistics import bootstrap_interval, mcnemar
 from roomtables.online.classifier import RoomTables
 from roomtables.online.model import QueryModel
-from roomtables.rooms import Room, read_room_lines
-from roomtables.schemas import CALIBRATED, POOLED, PROXY, QUERY, RULES, SOURCES
+from roomtables.online.rules import effective_prior_weight
+from roomtables.rooms import Room
+from roomtables.schemas import CALIBRATED, POOLED, QUERY, REDUCTIONS, RULES, SOURCES
+
+PRIOR_WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
+"""Values of λ that a sweep tries."""
+EVIDENCE_POWERS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+"""Values of γ that a sweep tries."""
 
 
 def parse_conditions(text: str) -> tuple[tuple[str, str], ...]:
@@ -40,32 +50,25 @@ def parse_conditions(text: str) -> tuple[tuple[str, str], ...]:
     return tuple(dict.fromkeys(found))
 
 
-@dataclass(frozen=True)
-class PairedTest:
-    """Two conditions on the same rooms: the difference in accuracy, and what luck explains of it.
+def compare(
+    rooms: Iterable[Room] | str | Path,
+    tables: RoomTables,
+    conditions: Sequence[tuple[str, str]],
+    weights: str | None = None,
+) -> Comparison:
+    """Evaluate each (rule, source) on the same rooms; ``weights`` as for :func:`evaluate`.
 
-    ``difference`` is first less second, with its paired bootstrap interval.
+    Raises
+    ------
+    InputError
+        A file of room lines is malformed, or no room is left to evaluate.
+    StoreError
+        The tables hold no such source.
     """
-
-    first: str
-    second: str
-    difference: float
-    low: float
-    high: float
-    only_first: int
-    only_second: int
-    p_value: float
-
-    @classmethod
-    def of(cls, first: Evaluation, second: Evaluation) -> PairedTest:
-        """The test of two evaluations of the same rooms."""
-        difference = first.outcomes.astype(np.float64) - second.outcomes
-        interval = bootstrap_interval(difference)
-        test = mcnemar(first.outcomes, second.outcomes)
-        return cls(
-            first.condition, second.condition, float(difference.mean()), interval.low,
-            interval.high, test.only_first, test.only_second, test.p_value,
-        )  # fmt: skip
+    held = room_list(rooms)
+    return Comparison(
+        tuple(evaluate(held, tables.deciding(rule=r, source=s), weights) for r, s in conditions)
+    )
 
 
 @dataclass(frozen=True)
@@ -86,34 +89,86 @@ class Comparison:
         }
 
 
-def compare(
-    rooms: Iterable[Room] | str | Path,
-    tables: RoomTables,
-    conditions: Sequence[tuple[str, str]],
-    weights: str | None = None,
-) -> Comparison:
-    """Evaluate each (rule, source) on the same rooms.
+@dataclass(frozen=True)
+class PairedTest:
+    """Two conditions on the same rooms: the difference in accuracy, and whether it may be chance.
+
+    ``difference`` is first less second, ``low`` and ``high`` its paired bootstrap interval;
+    ``only_first``, ``only_second`` and ``p_value`` are as in McNemar's test.
+    """
+
+    first: str
+    second: str
+    difference: float
+    low: float
+    high: float
+    only_first: int
+    only_second: int
+    p_value: float
+
+    @classmethod
+    def of(cls, first: Evaluation, second: Evaluation) -> PairedTest:
+        """The test of two evaluations of the same rooms in the same order."""
+        difference = first.outcomes.astype(np.float64) - second.outcomes
+        interval = bootstrap_interval(difference)
+        test = mcnemar(first.outcomes, second.outcomes)
+        return cls(
+            first.condition, second.condition, float(difference.mean()), interval.low,
+            interval.high, test.only_first, test.only_second, test.p_value,
+        )  # fmt: skip
+
+
+def sweep(rooms: Iterable[Room] | str | Path, tables: RoomTables) -> Sweep:
+    """Evaluate the rooms under every rule, source, λ, γ and k that the tables can answer.
 
     Raises
     ------
     InputError
         A file of room lines is malformed, or no room is left to evaluate.
-    StoreError
-        The tables hold no such source.
     """
-    held = list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
-    return Comparison(
-        tuple(evaluate(held, tables.deciding(rule=r, source=s), weights) for r, s in conditions)
-    )
+    held = room_list(rooms)
+    model = QueryModel(tables.version.manifest, allowed=False)  # nor are its misses noted
+    tables = RoomTables(tables.version, tables.lookup, model, tables.decision)
+    lookup = tables.lookup
+    points: list[SweepPoint] = []
+    notes: list[str] = []
+    for source, arrays in lookup.sources.items():
+        pooled = tables.deciding(rule=POOLED, source=source)
+        by_k = _with_fewer_objects(held, pooled)
+        points += _over_weights(held, pooled)
+        points += [_point(fewer, pooled, k) for k, fewer in by_k.items()]
+        if len(arrays.keys):
+            points += _over_queries(by_k, tables.deciding(rule=QUERY, source=source))
+        else:
+            notes.append(
+                f"rules {QUERY} and {CALIBRATED} with source {source}: the tables hold no "
+                "combinations; run `roomtables build --combinations all`"
+            )
+    other = next(name for name in REDUCTIONS if name != lookup.reduction)
+    notes.append(f"reduction {other}: run `roomtables build --reduction {other}`")
+    notes.append(f"k above {lookup.k}: run `roomtables build -k {lookup.k + 1}`")
+    return Sweep(tuple(points), tuple(notes))
 
 
-PRIOR_WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
-EVIDENCE_POWERS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+@dataclass(frozen=True)
+class Sweep:
+    """All points, and one sentence for each thing that could not be varied."""
+
+    points: tuple[SweepPoint, ...]
+    notes: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """``{"sweep": [point, …], "notes": [sentence, …]}``."""
+        return {"sweep": [asdict(point) for point in self.points], "notes": list(self.notes)}
 
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """One setting and how it did; ``k`` is ``None`` where all of a room's objects count."""
+    """One setting, and how many of the rooms it labels right.
+
+    ``k`` is ``None`` where all of a room's objects count; ``prior_weight`` (λ) and
+    ``evidence_power`` (γ) are ``None`` where they have no effect.
+    """
 
     reduction: str
     source: str
@@ -126,108 +181,55 @@ class SweepPoint:
     accuracy: float
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """All points, and one sentence for each thing that could not be varied."""
-
-    points: tuple[SweepPoint, ...]
-    notes: tuple[str, ...]
-
-    def as_json(self) -> dict[str, Any]:
-        return {"sweep": [asdict(point) for point in self.points], "notes": list(self.notes)}
+def _over_weights(rooms: Sequence[Room], pooled: RoomTables) -> Iterator[SweepPoint]:
+    """Rule ``pooled`` on all the rooms' objects: each λ that makes a difference, with each γ."""
+    source = pooled.decision.source
+    weights = dict.fromkeys(effective_prior_weight(source, weight) for weight in PRIOR_WEIGHTS)
+    for weight, power in product(weights, EVIDENCE_POWERS):
+        yield _point(rooms, pooled.deciding(prior_weight=weight, evidence_power=power), None)
 
 
-def sweep(rooms: Iterable[Room] | str | Path, tables: RoomTables) -> Sweep:
-    """Evaluate the rooms over the grid of settings, from the tables alone.
+def _over_queries(by_k: dict[int, list[Room]], queried: RoomTables) -> Iterator[SweepPoint]:
+    """Rule ``query`` over k, and rule ``calibrated`` over k and λ."""
+    for k, rooms in by_k.items():
+        yield _point(rooms, queried, k)
+        for weight in PRIOR_WEIGHTS:
+            yield _point(rooms, queried.deciding(rule=CALIBRATED, prior_weight=weight), k)
 
-    Raises
-    ------
-    InputError
-        A file of room lines is malformed, or no room is left to evaluate.
+
+def _with_fewer_objects(rooms: Sequence[Room], tables: RoomTables) -> dict[int, list[Room]]:
+    """k = 1, 2, … to the rooms with no more than their k most informative objects.
+
+    What a rule decides for those rooms is what tables built with that k would decide: the
+    combinations of fewer objects are in the tables too.
     """
-    held = list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
-    model = QueryModel(tables.version.manifest, allowed=False)  # nor are its misses noted
-    tables = RoomTables(tables.version, tables.lookup, model, tables.decision)
-    swept = _Sweeping(held, tables)
-    points: list[SweepPoint] = []
-    notes: list[str] = []
-    for source in tables.lookup.sources:
-        points += swept.pooled(source)
-        if len(tables.lookup.sources[source].keys):
-            points += swept.queried(source)
-        else:
-            notes.append(
-                f"rules {QUERY} and {CALIBRATED} with source {source}: the tables hold no "
-                "combinations; run `roomtables build --combinations all`"
-            )
-    other, why = with_other_reduction(tables)
-    if other is not None:
-        points += _Sweeping(held, other).pooled(PROXY, grid=False)
-    notes.append(why)
-    notes.append(f"k above {tables.lookup.k}: run `roomtables build -k {tables.lookup.k + 1}`")
-    return Sweep(tuple(points), tuple(notes))
+    picked = [p.objects for p in tables.classify_many([room.objects for room in rooms])]
+    return {
+        k: [
+            # A room of nothing known stays a room: it is unanswered, not left out.
+            Room(room.room_id, objects[:k] or room.objects, room.truth)
+            for room, objects in zip(rooms, picked, strict=True)
+        ]
+        for k in range(1, tables.lookup.k + 1)
+    }
 
 
-class _Sweeping:
-    """The rooms of a sweep, and their most informative objects by source."""
-
-    def __init__(self, rooms: Sequence[Room], tables: RoomTables) -> None:
-        self._rooms = rooms
-        self._tables = tables
-
-    def pooled(self, source: str, grid: bool = True) -> Iterator[SweepPoint]:
-        """λ × γ over all objects (λ of a proxy only), then 1, 2, … k objects at the defaults."""
-        decision = self._tables.decision
-        weights = PRIOR_WEIGHTS if grid else (decision.prior_weight,)
-        for weight in weights if source == PROXY else (0.0,):
-            for power in EVIDENCE_POWERS if grid else (decision.evidence_power,):
-                settings = {"prior_weight": weight, "evidence_power": power}
-                tables = self._tables.deciding(rule=POOLED, source=source, **settings)
-                yield self._point(evaluate(self._rooms, tables), tables, None)
-        tables = self._tables.deciding(rule=POOLED, source=source)
-        for k, rooms in self._selections(source):
-            yield self._point(evaluate(rooms, tables), tables, k)
-
-    def queried(self, source: str) -> Iterator[SweepPoint]:
-        """Rule ``query`` over k, and rule ``calibrated`` over k and λ."""
-        for k, rooms in self._selections(source):
-            tables = self._tables.deciding(rule=QUERY, source=source)
-            yield self._point(evaluate(rooms, tables), tables, k)
-            for weight in PRIOR_WEIGHTS:
-                tables = self._tables.deciding(rule=CALIBRATED, source=source, prior_weight=weight)
-                yield self._point(evaluate(rooms, tables), tables, k)
-
-    def _selections(self, source: str) -> Iterator[tuple[int, list[Room]]]:
-        """The same rooms with no more than their k most informative objects, k = 1, 2, ….
-
-        What a rule does with those alone is what it does for that k: the key of fewer objects is
-        in the tables too.
-        """
-        tables = self._tables.deciding(rule=POOLED, source=source)
-        picked = [p.objects for p in tables.classify_many([room.objects for room in self._rooms])]
-        for k in range(1, self._tables.lookup.k + 1):
-            yield (
-                k,
-                [
-                    # A room of nothing known stays a room: it is unanswered, not left out.
-                    Room(room.room_id, objects[:k] or room.objects, room.truth)
-                    for room, objects in zip(self._rooms, picked, strict=True)
-                ],
-            )
-
-    def _point(self, found: Evaluation, tables: RoomTables, k: int | None) -> SweepPoint:
-        decision = tables.decision
-        calibrates = decision.rule == CALIBRATED or (
-            decision.rule == POOLED and decision.source == PROXY
-        )
-        return SweepPoint(
-            tables.lookup.reduction,
-            found.source,
-            found.rule,
-            k,
-            decision.prior_weight if calibrates else None,
-            decision.evidence_power if decision.rule == POOLED else None,
-            found.rooms,
-            found.correct,
-            found.accuracy,
-        )
+def _point(rooms: Sequence[Room], tables: RoomTables, k: int | None) -> SweepPoint:
+    """The rooms judged under the decision of ``tables``."""
+    found = evaluate(rooms, tables)
+    decision = tables.decision
+    pools = decision.rule == POOLED
+    calibrates = decision.rule == CALIBRATED or (
+        pools and effective_prior_weight(decision.source, 1.0) > 0
+    )
+    return SweepPoint(
+        tables.lookup.reduction,
+        found.source,
+        found.rule,
+        k,
+        decision.prior_weight if calibrates else None,
+        decision.evidence_power if pools else None,
+        found.rooms,
+        found.correct,
+        found.accuracy,
+    )

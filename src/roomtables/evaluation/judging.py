@@ -101,11 +101,11 @@ class Evaluation:
         return np.array([judged.correct for judged in self.judged])
 
     def reliability(self) -> list[statistics.Bin]:
-        """How often the answers given are right, by how probable they were said to be."""
+        """The share of right answers, binned by the probability they were given with."""
         return statistics.reliability(*self._answered())
 
     def risk_coverage(self) -> list[statistics.Operating]:
-        """What answering only from a probability on would do: coverage, and the share right."""
+        """Coverage and accuracy where only answers of at least some probability are given."""
         return statistics.risk_coverage(*self._answered(), rooms=self.rooms)
 
     def _answered(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -170,12 +170,10 @@ def evaluate(
     InputError
         A file of room lines is malformed, or no room is left to evaluate.
     """
-    if isinstance(rooms, str | Path):
-        rooms = read_room_lines(Path(rooms))
     candidates = tuple(room.label for room in tables.candidates)
     skipped: Counter[str] = Counter()
     kept: list[tuple[Room, tuple[str, ...]]] = []
-    for room in rooms:
+    for room in room_list(rooms):
         truth, why = _truth(room, tables, candidates)
         if why:
             skipped[why] += 1
@@ -191,6 +189,17 @@ def evaluate(
     )
     decision = tables.decision
     return Evaluation(decision.rule, decision.source, candidates, judged, skipped)
+
+
+def room_list(rooms: Iterable[Room] | str | Path) -> list[Room]:
+    """Rooms as a list: those of a file of room lines, or those given.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is malformed.
+    """
+    return list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
 
 
 def _truth(

@@ -35,7 +35,7 @@ CONDITIONS = ((QUERY, GROUND_TRUTH), (QUERY, PROXY), (POOLED, GROUND_TRUTH), (PO
 
 @dataclass(frozen=True)
 class Trial:
-    """A condition of table 2: the rooms' evaluation, ``None`` where the tables cannot answer."""
+    """A condition of table 2, and its evaluation, ``None`` where the tables cannot answer."""
 
     labels: str
     rule: str
@@ -48,6 +48,7 @@ class Trial:
         return PUBLISHED_ACCURACY.get((self.labels, self.source)) if self.rule == QUERY else None
 
     def as_json(self) -> dict[str, Any]:
+        """A row of table 2; its numbers are ``None`` where the tables cannot answer."""
         found = self.evaluation
         row = {"labels": self.labels, "source": self.source, "rule": self.rule,
                "published": self.published}  # fmt: skip
@@ -64,7 +65,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Tables 1 and 2, and what the per-room figure is drawn from."""
+    """What the paper's tables 1 and 2 and its per-room figure are made from.
+
+    ``frequencies`` counts, by label space, the rooms of each true label.
+    """
 
     frequencies: dict[str, Counter[str]]
     trials: tuple[Trial, ...]
@@ -89,6 +93,7 @@ class Reproduction:
         return [trial.as_json() for trial in self.trials]
 
     def as_json(self) -> dict[str, Any]:
+        """Both tables, as lists of rows."""
         return {"table_1": self.table_1(), "table_2": self.table_2()}
 
 
@@ -104,7 +109,7 @@ def reproduce(columns: Sequence[tuple[RoomTables, Iterable[Room]]]) -> Reproduct
     trials: list[Trial] = []
     for tables, rooms in columns:
         held = list(rooms)
-        labels = tables.version.manifest["labels"]
+        labels = tables.version.manifest.labels
         for rule, source in CONDITIONS:
             if source not in tables.lookup.sources:
                 trials.append(Trial(labels, rule, source, None))

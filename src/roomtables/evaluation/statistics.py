@@ -1,12 +1,12 @@
-"""What a number of rooms can and cannot tell: intervals, paired tests, calibration, risk.
+"""Statistics of right and wrong answers: confidence intervals, paired tests, calibration, risk.
 
-Plain numpy on arrays with one entry per room; nothing here knows what a room is.
+Functions take arrays with one entry per room: booleans that say whether the answer was right, and
+probabilities from 0 to 1.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from math import comb
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ BINS = 10
 
 @dataclass(frozen=True)
 class Interval:
-    """A percentile bootstrap interval of a mean: between ``low`` and ``high`` at ``level``."""
+    """A percentile bootstrap interval of a mean: from ``low`` to ``high`` at a confidence level."""
 
     low: float
     high: float
@@ -29,13 +29,14 @@ class Interval:
     seed: int = SEED
 
     def as_json(self) -> dict[str, float]:
+        """The fields under their names."""
         return asdict(self)
 
 
 def bootstrap_interval(
     values: ArrayLike, *, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = SEED
 ) -> Interval:
-    """The bootstrap interval of the mean of ``values`` (one per room): rooms drawn with return.
+    """The interval of the mean of ``values`` (one per room); rooms are drawn with replacement.
 
     For the difference of two rules pass the difference of their outcomes, room by room: the rooms
     are then drawn in pairs. The same seed gives the same interval.
@@ -58,9 +59,11 @@ def bootstrap_interval(
 class McNemar:
     """The exact McNemar test of two rules on the same rooms.
 
-    ``only_first`` rooms only the first rule got right, ``only_second`` only the second;
-    ``p_value`` is two-sided: were both rules as good, how often would luck split the rooms on
-    which they differ at least as unevenly.
+    Attributes
+    ----------
+    only_first, only_second : how many rooms only that rule got right
+    p_value : two-sided: were both rules as good, how often chance would split the rooms on which
+        they differ at least as unevenly
     """
 
     only_first: int
@@ -73,9 +76,11 @@ def mcnemar(first: ArrayLike, second: ArrayLike) -> McNemar:
     a, b = np.asarray(first, bool), np.asarray(second, bool)
     only_first, only_second = int(np.sum(a & ~b)), int(np.sum(b & ~a))
     differing = only_first + only_second
-    fewer = min(only_first, only_second)
-    tail = sum(comb(differing, n) for n in range(fewer + 1))
     # Whole numbers divide exactly, where a float would overflow beyond a thousand rooms.
+    ways = tail = 1  # of choosing 0 of the differing rooms, then of at most n
+    for n in range(min(only_first, only_second)):
+        ways = ways * (differing - n) // (n + 1)
+        tail += ways
     return McNemar(only_first, only_second, min(1.0, 2 * tail / 2**differing))
 
 
@@ -91,7 +96,7 @@ class Bin:
 
 
 def reliability(probability: ArrayLike, correct: ArrayLike, bins: int = BINS) -> list[Bin]:
-    """The reliability diagram: rooms binned by the probability of their answer, empty bins out."""
+    """The reliability diagram: rooms binned by their answer's probability, without empty bins."""
     p, right = np.asarray(probability, np.float64), np.asarray(correct, np.float64)
     # In (low, high]: a probability of exactly 0.1 is in the first bin of ten.
     index = np.clip(np.ceil(p * bins).astype(int) - 1, 0, bins - 1)
@@ -104,7 +109,7 @@ def reliability(probability: ArrayLike, correct: ArrayLike, bins: int = BINS) ->
 
 
 def expected_calibration_error(bins: list[Bin]) -> float:
-    """Mean over rooms of |accuracy − probability| of their bin; 0 is perfectly calibrated."""
+    """Mean over rooms of |accuracy − mean probability| of their bin; 0 is perfectly calibrated."""
     rooms = sum(b.rooms for b in bins)
     return sum(b.rooms * abs(b.accuracy - b.mean_probability) for b in bins) / max(rooms, 1)
 
@@ -121,10 +126,10 @@ class Operating:
 def risk_coverage(
     probability: ArrayLike, correct: ArrayLike, rooms: int | None = None
 ) -> list[Operating]:
-    """Every point that a threshold on the probability can reach, the surest rooms first.
+    """Coverage and accuracy at every threshold on the probability, the highest first.
 
-    Rooms of equal probability come in together, as no threshold parts them. ``rooms`` is what the
-    coverage is a share of, where more rooms were asked about than the answered ones given here.
+    Rooms of equal probability come in together, as no threshold parts them. ``rooms`` is how many
+    rooms the coverage is a share of, where some were left unanswered and are not given here.
     """
     p, right = np.asarray(probability, np.float64), np.asarray(correct, np.float64)
     asked = len(p) if rooms is None else rooms
@@ -137,10 +142,7 @@ def risk_coverage(
 
 
 def area_under_risk(points: list[Operating]) -> float:
-    """The mean, over the coverages reached, of the share wrong; lower knows better what it knows.
-
-    0 where nothing is covered.
-    """
+    """The mean share wrong over the coverages reached, from 0 (best) to 1; 0 where none is."""
     area, before = 0.0, 0.0
     for point in points:
         area += (point.coverage - before) * (1 - point.accuracy)

@@ -1,7 +1,7 @@
 """Log probabilities of whole sentences from causal and masked language models.
 
-The only package that imports torch and transformers, and it does so when a model is loaded, not
-when it is imported: :func:`identify` names a scorer without them.
+The only part of roomtables that imports torch and transformers, and it does so when a model is
+loaded. :func:`identify` names a scorer without them, unless it is to look for a GPU.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def load_scorer(
     token_budget: int | None = None,
     progress: bool = False,
 ) -> SentenceScorer:
-    """Load a language model as a :class:`roomtables.scorer.Scorer`.
+    """Load a language model as a :class:`roomtables.scorer.Scorer` (log probabilities in nats).
 
     Parameters
     ----------

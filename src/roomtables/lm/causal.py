@@ -1,4 +1,4 @@
-"""Causal language models: which strategy scores them, and proof that it does so rightly."""
+"""Causal language models: the strategies to try on a model, and the one that passed its check."""
 
 from __future__ import annotations
 
@@ -10,17 +10,22 @@ import numpy as np
 
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import FloatArray, Forward
-from roomtables.lm.progress import Meter
+from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import choose
 from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
 from roomtables.lm.trie import Sequences, sort_sequences
 
 
 class CausalBackend:
-    """Sum of log p(token | tokens before it) over a sentence's scored tokens.
+    """Sum of log p(token | tokens before it) over a sentence's scored tokens (paper equation 1).
 
     The fastest strategy that agrees with naive scoring is chosen when the backend is made;
     ``fallbacks`` says why the faster ones were passed over.
+
+    Raises
+    ------
+    ModelError
+        The model cannot score a plain token sequence, or its scores are not finite.
     """
 
     def __init__(self, forward: Forward, encoder: Encoder, budget: int) -> None:
@@ -30,12 +35,15 @@ class CausalBackend:
         self.strategy, self._run, self.fallbacks = choose(candidates, forward, encoder, budget)
 
     def encode(self, sentences: Sequence[str]) -> list[list[int]]:
+        """Token ids of each sentence; see :meth:`Encoder.encode` for what it refuses."""
         return self.encoder.encode(sentences)
 
     def token_count(self, encoded: Sequence[int]) -> int:
+        """All tokens but the first are scored."""
         return len(encoded) - 1
 
     def log_probs(self, encoded: Sequence[Sequence[int]], budget: int, meter: Meter) -> FloatArray:
+        """Log probability in nats of each encoded sentence, ``[sentences]``."""
         sequences, index = sort_sequences(encoded)
         return self._run(self.forward, sequences, budget, meter)[index]
 

@@ -1,7 +1,8 @@
-"""From sentences to what is scored: the tokenizer's own call decides, nothing is added.
+"""From sentences to the tokens that are scored.
 
-The rule: exactly the tokens that the call returns, less an EOS that it appends. The first of them
-is never scored: it is either a BOS, which is no part of the sentence, or it has no context.
+They are exactly the tokens that the tokenizer's own call returns, less an EOS that it appends;
+nothing is added. The first of them is never scored: it is either a BOS, which is no part of the
+sentence, or it has no context.
 """
 
 from __future__ import annotations
@@ -21,7 +22,16 @@ _UNLIMITED = 1_000_000  # tokenizers without a limit say 1e30
 
 
 class Encoder:
-    """Turns sentences into token ids (lists of int), and refuses those that cannot be scored."""
+    """Turns sentences into token ids (lists of int), and refuses those that cannot be scored.
+
+    ``vocabulary`` is the number of tokens that the model knows, ``context`` the most it reads
+    (``None``: no limit but the tokenizer's). ``name`` is the model's, for messages.
+
+    Raises
+    ------
+    ModelError
+        The tokenizer finds no tokens in a plain sentence.
+    """
 
     def __init__(self, tokenizer: Any, name: str, vocabulary: int, context: int | None) -> None:
         self.tokenizer = tokenizer
@@ -51,7 +61,7 @@ class Encoder:
         return list(ids)
 
     def call(self, sentences: Sequence[str], **options: Any) -> Any:
-        """The tokenizer's own call.
+        """What the tokenizer's own call returns, without padding, truncation or masks.
 
         Raises
         ------
@@ -70,7 +80,13 @@ class Encoder:
         )
 
     def check(self, sentence: str, tokens: Sequence[int], fewest: int) -> None:
-        """Refuse ``tokens`` when the model cannot score them."""
+        """Refuse ``tokens`` that the model cannot score.
+
+        Raises
+        ------
+        ModelError
+            They are fewer than ``fewest``, more than the model reads, or unknown to the model.
+        """
         if len(tokens) < fewest:
             raise ModelError(
                 f"{self.name} sees {len(tokens)} token(s) in {quoted(sentence)}, too few to score; "
@@ -88,15 +104,15 @@ class Encoder:
             )
 
     def sample_tokens(self) -> tuple[list[int], list[int]]:
-        """What the tokenizer puts before a sentence, and the ids of ordinary tokens."""
+        """The special token put before a sentence (or no token), and the ids of ordinary ones."""
         special = set(self.tokenizer.all_special_ids)
         lead = [token for token in self.call([_PROBE])["input_ids"][0][:1] if token in special]
         known = min(self._vocabulary, len(self.tokenizer))
         return lead, [token for token in range(known) if token not in special] or [0]
 
     def _find_direct_call(self) -> Callable[[Sequence[str]], list[list[int]]]:
-        """The call without what it wraps around its Rust core, half of its time, where the core
-        alone gives the same tokens."""
+        """The tokenizer's Rust core where it gives the tokens of the whole call, in half the time;
+        else the whole call."""
 
         def whole(sentences: Sequence[str]) -> list[list[int]]:
             ids: list[list[int]] = self.call(sentences)["input_ids"]

@@ -1,4 +1,7 @@
-"""From a model's name to a folder of files that is complete and safe to load. Knows no tensors."""
+"""From a model's name to a folder with configuration, safetensors weights and a tokenizer.
+
+Pickled weights, which can run code, are refused. Neither torch nor transformers is imported here.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import MissingExtraError, ModelError
+from roomtables.errors import MissingExtraError, ModelError, first_line
 
 EMBEDDED_MODEL = "household-lm"
 EMBEDDED_FOLDER = Path(__file__).parents[1] / "models" / EMBEDDED_MODEL
@@ -42,7 +45,8 @@ PICKLES = ("pytorch_model*.bin", "*.pt", "*.pth", "*.ckpt")
 
 @dataclass(frozen=True)
 class ModelFolder:
-    """A model on disk: its display ``name``, ``path``, parsed ``config`` and hub ``commit``."""
+    """A model on disk: its ``name`` (safe in a file's name), ``path``, ``config.json`` parsed, and
+    the ``commit`` of a hub model."""
 
     name: str
     path: Path
@@ -50,7 +54,13 @@ class ModelFolder:
     commit: str | None = None
 
     def weight_files(self) -> list[Path]:
-        """The safetensors files that make up the weights, sorted by name."""
+        """The safetensors files that make up the weights, sorted by name.
+
+        Raises
+        ------
+        ModelError
+            The index of weights in several files cannot be read.
+        """
         index = self.path / "model.safetensors.index.json"
         if index.is_file():
             shards = set(_read_json(index, self.name).get("weight_map", {}).values())
@@ -64,7 +74,7 @@ class ModelFolder:
 
 
 def resolve(model: str, revision: str | None = None) -> ModelFolder:
-    """Find and check a model's folder.
+    """Find a model's folder and check that nothing is missing from it.
 
     A local folder is taken as it is; a hub name is downloaded (safetensors only), or taken from
     the hub client's cache where the network does not answer.
@@ -73,6 +83,8 @@ def resolve(model: str, revision: str | None = None) -> ModelFolder:
     ------
     ModelError
         No such model, or its folder lacks weights, a configuration, or a tokenizer.
+    MissingExtraError
+        The model is on the hub, and the hub's client is not installed.
     """
     if not model.strip():
         raise ModelError("the model's name is empty; give --model a hub name or a folder")
@@ -136,7 +148,10 @@ def _read_json(path: Path, model: str) -> dict[str, Any]:
 
 
 def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
-    """Download what is needed, or find it in the hub client's cache; one attempt, no chatter."""
+    """The folder and commit of a hub model, downloaded, or found in the hub client's cache.
+
+    One attempt, without a progress bar.
+    """
     os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
     try:
@@ -168,7 +183,7 @@ def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
         )
     except Exception as error:
         raise ModelError(
-            f"downloading {model} from the model hub broke off ({_first_line(error)}); run it again"
+            f"downloading {model} from the model hub broke off ({first_line(error)}); run it again"
         ) from error
     return Path(path), info.sha
 
@@ -184,11 +199,7 @@ def _from_hub_cache(
         )
     except Exception as error:
         raise ModelError(
-            f"no folder is named {model} and the model hub does not answer ({_first_line(why)}); "
+            f"no folder is named {model} and the model hub does not answer ({first_line(why)}); "
             f"give --model a local folder, or {EMBEDDED_MODEL}, which is built in"
         ) from error
     return Path(path), Path(path).name
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:120]

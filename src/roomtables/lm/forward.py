@@ -1,9 +1,9 @@
 """One model's forward pass, read only at chosen positions.
 
-A hook on the model's body keeps just the hidden states that are read, so that the output head, up
-to two fifths of the work, runs on nothing else. The model's own ``forward`` still applies the head,
-with whatever soft-capping or scaling it has. Where a model has no separate body, its full logits
-are read instead.
+A hook on the model's body keeps only the hidden states of those positions, so that the output
+head, up to two fifths of the work, runs on nothing else. The model's own ``forward`` still applies
+the head, with whatever soft-capping or scaling it has. Where a model has no separate body, its full
+logits are computed and the positions read from them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-IntArray = npt.NDArray[np.int64]
+from roomtables.lm.trie import IntArray
+
 FloatArray = npt.NDArray[np.float64]
 
 # Elements of a block of logits: small enough for a CPU's cache, large enough for a GPU's launch.
@@ -24,7 +25,7 @@ _BLOCK = {"cpu": 1 << 20, "cuda": 1 << 26}
 
 
 class Forward:
-    """Runs ``model`` without gradients and returns log probabilities (nats, float64)."""
+    """Runs a transformers ``model`` without gradients; log probabilities are in nats, float64."""
 
     def __init__(self, model: Any) -> None:
         self.model = model
@@ -35,15 +36,20 @@ class Forward:
 
     @property
     def dtype(self) -> torch.dtype:
+        """What the model computes in."""
         dtype: torch.dtype = self.model.dtype
         return dtype
 
     def tensor(self, array: npt.NDArray[Any]) -> Tensor:
+        """The array on the model's device, same shape and dtype."""
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device, non_blocking=True)
 
     @torch.inference_mode()
     def sequence(self, tokens: list[int]) -> FloatArray:
-        """The naive way: log probability of each token but the first, given those before it."""
+        """Log probability of each token but the first given those before it, ``[tokens - 1]``.
+
+        One plain forward of the model: the reference for what :meth:`read` gives.
+        """
         ids = torch.tensor([tokens], device=self.device)
         logits = _at_least_float32(self.model(input_ids=ids).logits[0, :-1])
         chosen = torch.log_softmax(logits, -1).gather(1, ids[0, 1:, None])[:, 0]
@@ -51,7 +57,7 @@ class Forward:
 
     @torch.inference_mode()
     def masked(self, tokens: list[int], position: int, token: int) -> float:
-        """The naive way for a masked model: log probability of ``token`` at ``position``."""
+        """Log probability of ``token`` at ``position`` of a masked model: the same reference."""
         ids = torch.tensor([tokens], device=self.device)
         logits = _at_least_float32(self.model(input_ids=ids).logits[0, position])
         return float(torch.log_softmax(logits, -1)[token])
@@ -78,7 +84,7 @@ class Forward:
 
         Returns
         -------
-        Array of the length of ``tokens``, float64.
+        Nats, float64, of the length of ``tokens``.
         """
         logits = self._logits(inputs, self.tensor(positions))
         return _log_probs(logits, self.tensor(asked), self.tensor(tokens)).cpu().numpy()

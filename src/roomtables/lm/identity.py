@@ -1,6 +1,6 @@
-"""Who scored a sentence: a name over everything that changes a score, and nothing else.
+"""The ``scorer_id``: a name that changes with everything that changes a score, and nothing else.
 
-In it: the bytes of all weights (a header alone stays equal when a weight changes), the canonical
+It covers the bytes of all weights (a header alone stays equal when a weight changes), the canonical
 configuration, the tokenizer, the scoring rule, compute dtype and device class. Versions, batch
 sizes and the hub's commit are provenance, not identity.
 """
@@ -17,12 +17,11 @@ from typing import Any
 
 from roomtables.errors import ModelError
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
+from roomtables.scorer import DTYPES, SCORINGS
 
 SCORING_RULE_VERSION = "1"
 """Raise it whenever what is scored changes: which tokens, the BOS rule, the masking rule."""
 
-SCORINGS = ("causal", "pll", "pll_word_l2r")
-DTYPES = ("float32", "float16", "bfloat16", "float64")
 DEVICES = ("cpu", "cuda", "auto")
 
 # Written by a library that saved the files, without any bearing on a score.
@@ -118,7 +117,15 @@ def device_class(device: str) -> str:
 
 
 def scorer_id(folder: ModelFolder, dtype: str, device: str, scoring: str) -> str:
-    """``<name>@<12 hexadecimal digits>``, safe as a folder's name."""
+    """``<name>@<12 hexadecimal digits>``, safe as a folder's name.
+
+    ``device`` is a device class and ``scoring`` one of ``SCORINGS``, both already resolved.
+
+    Raises
+    ------
+    ModelError
+        The dtype is unknown.
+    """
     if dtype not in DTYPES:
         raise ModelError(f"unknown dtype {dtype!r}; use one of {', '.join(DTYPES[:3])}")
     settings = {

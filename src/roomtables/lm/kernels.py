@@ -1,9 +1,12 @@
-"""Faster float32 arithmetic on a CPU, for the modules that cost most; the same mathematics.
+"""Faster float32 arithmetic on a CPU for a model's linear maps and GPT-2's activation.
 
-torch's default matrix product in float32 (MKL) is slower than oneDNN's on many processors, by half
-for a large output head, and transformers composes GPT-2's activation of eight passes over memory.
-Each replacement is tried on the module's own weights first, and left out where it is absent or
-disagrees.
+Linear maps go to oneDNN through ``torch.ops.mkldnn._linear_pointwise``, a *private* operator of
+torch that any release may change: it is tried on each module's own weights, and where it is absent
+or disagrees the module stays as it is. GPT-2's activation, which transformers composes of eight
+passes over memory, becomes torch's own.
+
+Worth in ``tests/benchmarks/scoring.py`` (CPU time, one thread, an AMD EPYC with AVX2, torch 2.13):
+5 to 8 % of sentences per second with GPT-2 of 124 million parameters, nothing with household-lm.
 """
 
 from __future__ import annotations

@@ -1,15 +1,19 @@
-"""Loads a model and its tokenizer with transformers, quietly, safely, and with clear refusals."""
+"""Loads a model and its tokenizer with transformers: safetensors only, no code of the model's own.
+
+What cannot be loaded is a ModelError of one line; transformers' own output is silenced.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import torch
 import transformers
 
-from roomtables.errors import ModelError, RoomtablesError
+from roomtables.errors import ModelError, RoomtablesError, first_line
 from roomtables.lm.causal import CausalBackend
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.folders import ModelFolder, resolve
@@ -49,11 +53,8 @@ def load(
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
     parameters = sum(weight.numel() for weight in network.parameters())
     threads = threads_for(parameters, place)
-    try:
-        with using_threads(threads):
-            backend = _backend(network, tokenizer, folder, kind, budget)
-    except torch.cuda.OutOfMemoryError as error:
-        raise _too_large(folder, dtype) from error
+    with using_threads(threads), _out_of_memory_named(folder, dtype):
+        backend = _backend(network, tokenizer, folder, kind, budget)
     _log.info("%s on %s: strategy %s", identity, place, backend.strategy)
     return SentenceScorer(
         backend,
@@ -106,7 +107,7 @@ def _load_tokenizer(folder: ModelFolder) -> Any:
         )
     except Exception as error:  # a damaged file surfaces as any exception
         raise ModelError(
-            f"{folder.name}: cannot read the tokenizer in {folder.path} ({_one_line(error)}); "
+            f"{folder.name}: cannot read the tokenizer in {folder.path} ({first_line(error)}); "
             "save it again with tokenizer.save_pretrained()"
         ) from error
 
@@ -117,35 +118,39 @@ def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> An
         transformers.AutoModelForCausalLM if kind == "causal" else transformers.AutoModelForMaskedLM
     )
     try:
-        network, report = auto.from_pretrained(
-            folder.path,
-            dtype=getattr(torch, dtype),
-            use_safetensors=True,
-            trust_remote_code=False,
-            local_files_only=True,
-            output_loading_info=True,
-        )
-        _refuse_missing_weights(folder, report)
-        network.eval().requires_grad_(False).to(device)
-        accelerate(network)
-        return network
+        with _out_of_memory_named(folder, dtype):
+            network, report = auto.from_pretrained(
+                folder.path,
+                dtype=getattr(torch, dtype),
+                use_safetensors=True,
+                trust_remote_code=False,
+                local_files_only=True,
+                output_loading_info=True,
+            )
+            _refuse_missing_weights(folder, report)
+            network.eval().requires_grad_(False).to(device)
+            accelerate(network)
+            return network
     except RoomtablesError:
         raise
-    except torch.cuda.OutOfMemoryError as error:
-        raise _too_large(folder, dtype) from error
     except Exception as error:  # unknown architecture, damaged weights, shapes that disagree
         raise ModelError(
             f"{folder.name}: transformers {transformers.__version__} cannot load it as a "
-            f"{'causal' if kind == 'causal' else 'masked'} language model ({_one_line(error)}); "
+            f"{'causal' if kind == 'causal' else 'masked'} language model ({first_line(error)}); "
             "use another --model"
         ) from error
 
 
-def _too_large(folder: ModelFolder, dtype: str) -> ModelError:
-    return ModelError(
-        f"{folder.name} does not fit into the GPU's memory in {dtype}; "
-        "try --dtype float16, or --device cpu"
-    )
+@contextmanager
+def _out_of_memory_named(folder: ModelFolder, dtype: str) -> Iterator[None]:
+    """Say in one line which model the GPU's memory is too small for."""
+    try:
+        yield
+    except torch.cuda.OutOfMemoryError as error:
+        raise ModelError(
+            f"{folder.name} does not fit into the GPU's memory in {dtype}; "
+            "try --dtype float16, or --device cpu"
+        ) from error
 
 
 def _refuse_foreign_code(folder: ModelFolder) -> None:
@@ -193,8 +198,3 @@ def _context(config: Any) -> int | None:
 
 def _device_name(device: str) -> str:
     return f"cuda ({torch.cuda.get_device_name()})" if device == "cuda" else device
-
-
-def _one_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return (lines or [type(error).__name__])[0][:200]

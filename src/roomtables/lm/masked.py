@@ -16,10 +16,11 @@ import numpy as np
 
 from roomtables.errors import ModelError
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward, IntArray
-from roomtables.lm.progress import Meter
+from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import agree, in_float32
 from roomtables.lm.strategies import batches_by_length
+from roomtables.lm.trie import IntArray
 
 _log = logging.getLogger(__name__)
 
@@ -48,7 +49,14 @@ class _Reads(NamedTuple):
 
 
 class MaskedBackend:
-    """Sum over a sentence's tokens of log p(token | all others), special tokens left out."""
+    """Sum over a sentence's tokens of log p(token | all others), special tokens left out.
+
+    Raises
+    ------
+    ModelError
+        The tokenizer has no mask token, or cannot tell words where ``whole_words`` needs them, or
+        the model gives one sentence several scores.
+    """
 
     strategy = "masked"
 
@@ -68,6 +76,13 @@ class MaskedBackend:
             self._check()
 
     def encode(self, sentences: Sequence[str]) -> list[MaskedSentence]:
+        """Tokens of each sentence, and which of them are scored.
+
+        Raises
+        ------
+        ModelError
+            A sentence is empty, holds nothing to score, or is longer than the model's context.
+        """
         batch = self.encoder.call(sentences, return_special_tokens_mask=True)
         encoded = []
         for row, (sentence, tokens) in enumerate(zip(sentences, batch["input_ids"], strict=True)):
@@ -81,9 +96,11 @@ class MaskedBackend:
         return encoded
 
     def token_count(self, encoded: MaskedSentence) -> int:
+        """How many tokens are masked in turn: all but the special ones."""
         return len(encoded.scored)
 
     def log_probs(self, encoded: Sequence[MaskedSentence], budget: int, meter: Meter) -> FloatArray:
+        """Pseudo-log-likelihood in nats of each encoded sentence, ``[sentences]``."""
         reads = self._reads(encoded)
         scores = np.zeros(len(encoded))
         source = np.array(reads.source)

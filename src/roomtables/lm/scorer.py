@@ -1,6 +1,6 @@
 """The scorer that users hold: streams sentences through a backend in windows of bounded size.
 
-A window is deduplicated, scored in whatever order is cheapest, and handed back in the order given.
+A window is deduplicated, scored in the order that is cheapest, and handed back in the order given.
 Windows and the packing inside them depend on the input and the token budget alone, so a rebuild on
 the same machine gives the same scores.
 """
@@ -19,7 +19,6 @@ import torch
 from roomtables.errors import ModelError
 from roomtables.lm.encoding import quoted
 from roomtables.lm.forward import FloatArray
-from roomtables.lm.progress import Meter
 from roomtables.scorer import SentenceScore
 
 _log = logging.getLogger(__name__)
@@ -33,7 +32,9 @@ class Backend(Protocol):
     """What differs between causal and masked language models."""
 
     @property
-    def strategy(self) -> str: ...
+    def strategy(self) -> str:
+        """How sentences are run through the model: ``trie``, ``kv``, ``padded``, …"""
+        ...
 
     @property
     def fallbacks(self) -> Sequence[str]:
@@ -41,7 +42,13 @@ class Backend(Protocol):
         ...
 
     def encode(self, sentences: Sequence[str]) -> Sequence[Any]:
-        """Tokens of each sentence; raises ModelError for one that cannot be scored."""
+        """Tokens of each sentence.
+
+        Raises
+        ------
+        ModelError
+            A sentence cannot be scored.
+        """
         ...
 
     def token_count(self, encoded: Any) -> int:
@@ -49,7 +56,10 @@ class Backend(Protocol):
         ...
 
     def log_probs(self, encoded: Sequence[Any], budget: int, meter: Meter) -> FloatArray:
-        """Sum of log probabilities (nats) of each encoded sentence."""
+        """Sum of log probabilities in nats of each encoded sentence, ``[sentences]``.
+
+        ``budget`` is the most tokens in one forward pass.
+        """
         ...
 
 
@@ -89,13 +99,20 @@ class SentenceScorer:
         return dict(self._provenance)
 
     def score(self, sentences: Sequence[str]) -> list[SentenceScore]:
-        """Scores in the order given; see :class:`roomtables.scorer.Scorer`."""
+        """Scores (nats) in the order given.
+
+        Raises
+        ------
+        ModelError
+            A sentence is empty or longer than the model's context, a score is not finite, or
+            memory runs out even for the smallest token budget.
+        """
         return list(self.score_stream(sentences))
 
     def score_stream(
         self, sentences: Iterable[str], *, total: int | None = None
     ) -> Iterator[SentenceScore]:
-        """One score per sentence, in order, lazily and in bounded memory.
+        """One score per sentence, in order, lazily and in bounded memory; raises as :meth:`score`.
 
         ``total`` is the number of sentences, for the estimate of the time left; read from
         ``sentences`` where it has a length.
@@ -151,6 +168,73 @@ def _out_of_memory(error: Exception) -> bool:
     if isinstance(error, torch.cuda.OutOfMemoryError | MemoryError):
         return True
     return "can't allocate memory" in str(error) or "not enough memory" in str(error)
+
+
+class Meter:
+    """Counts what is done of a stream of sentences, window by window.
+
+    Where ``enabled`` a progress bar on stderr shows sentences, tokens run, the share of tokens that
+    shared prefixes save, and the time left, for which ``total`` sentences must be known.
+    """
+
+    def __init__(self, total: int | None = None, enabled: bool = False) -> None:
+        self.tokens_asked = 0
+        self.tokens_run = 0
+        self._finished = 0
+        self._bar: Any = None
+        if enabled:
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, desc="scoring", unit=" sentences", mininterval=0.5)
+
+    def begin(self, sentences: int, tokens: int) -> None:
+        """A window of ``sentences`` holding ``tokens`` is about to be scored."""
+        self._window = sentences
+        self._window_tokens = tokens
+        self._share = 0.0
+
+    def part(self, share: float) -> Meter:
+        """A meter for ``share`` (0 to 1) of the window's work."""
+        return _Part(self, share)
+
+    def advance(self, share: float, tokens_run: int) -> None:
+        """``share`` (0 to 1) of the window's work is done; the model ran ``tokens_run`` for it."""
+        self._share = min(1.0, self._share + share)
+        self.tokens_run += tokens_run
+        self._show(self._finished + int(self._share * self._window))
+
+    def finish(self) -> None:
+        """The window's scores are known."""
+        self._finished += self._window
+        self.tokens_asked += self._window_tokens
+        self._show(self._finished)
+
+    def _show(self, sentences: int) -> None:
+        if self._bar is None:
+            return
+        asked = self.tokens_asked or self._share * self._window_tokens
+        saved = 1 - self.tokens_run / asked if asked else 0.0
+        self._bar.set_postfix_str(
+            f"{self.tokens_run:,} tokens run, {max(saved, 0.0):.0%} saved", refresh=False
+        )
+        self._bar.update(max(0, sentences - self._bar.n))
+
+    def close(self) -> None:
+        """Leave the bar as it stands."""
+        if self._bar is not None:
+            self._bar.close()
+
+
+class _Part(Meter):
+    """Forwards to a whole meter what is done of a share of its window."""
+
+    def __init__(self, whole: Meter, share: float) -> None:
+        super().__init__()
+        self._whole = whole
+        self._part_share = share
+
+    def advance(self, share: float, tokens_run: int) -> None:
+        self._whole.advance(share * self._part_share, tokens_run)
 
 
 # Below this many parameters a matrix product is shorter than the wait for a second thread: one

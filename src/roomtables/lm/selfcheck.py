@@ -1,4 +1,4 @@
-"""Trust no fast path: a strategy is used only after it has agreed with naive scoring.
+"""A fast strategy is used only after it has agreed with naive scoring on the model at hand.
 
 Several architectures ignore a packed mask or a cache silently, so the check scores enough token
 sequences to fill more than a row, cuts included, and compares a sample with one plain forward each.
@@ -13,12 +13,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import torch
 
-from roomtables.errors import ModelError
+from roomtables.errors import ModelError, first_line
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward, IntArray
-from roomtables.lm.progress import Meter
+from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.scorer import Meter
 from roomtables.lm.strategies import ROW_NODES, Strategy
-from roomtables.lm.trie import Sequences, sort_sequences
+from roomtables.lm.trie import IntArray, Sequences, sort_sequences
 
 _log = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ def choose(
     Raises
     ------
     ModelError
-        The model cannot even be scored naively.
+        The model cannot be scored naively, its scores are not finite, or no candidate agrees.
     """
     sequences = sample_sequences(encoder)
     picked = np.unique(np.linspace(0, len(sequences) - 1, _SAMPLE).astype(int))
@@ -81,8 +81,9 @@ def _naive(forward: Forward, sequences: Sequences, picked: IntArray, name: str) 
     try:
         scores = np.array([forward.sequence(sequences.row(row)).sum() for row in picked])
     except Exception as error:
+        why = f"{type(error).__name__}: {first_line(error)}"
         raise ModelError(
-            f"{name} cannot score a plain sentence ({_one_line(error)}); use another --model"
+            f"{name} cannot score a plain sentence ({why}); use another --model"
         ) from error
     if not np.isfinite(scores).all():
         raise ModelError(
@@ -107,21 +108,28 @@ def _disagreement(
     except torch.cuda.OutOfMemoryError:
         raise
     except Exception as error:  # whatever an architecture does with inputs it does not expect
-        return _one_line(error)
+        return f"{type(error).__name__}: {first_line(error)}"
     if agree(forward, scores, expected):
         return None
     return f"{np.abs(scores - expected).max():.2g} nats from naive scoring"
 
 
 def agree(forward: Forward, scores: FloatArray, expected: FloatArray) -> bool:
-    """Whether scores are equal up to the rounding of the model's dtype; NaN never is."""
+    """Whether scores (nats, ``[sequences]``) are equal up to 1e-3 and the rounding of the dtype.
+
+    NaN equals nothing.
+    """
     slack = 2 * torch.finfo(forward.dtype).eps * np.abs(expected)
     return bool((np.abs(scores - expected) <= TOLERANCE_NATS + slack).all())
 
 
 @contextlib.contextmanager
 def in_float32(forward: Forward) -> Iterator[None]:
-    """Check half-precision models in float32, which no rounding blurs; back without any loss."""
+    """Cast a half-precision model to float32 for a while; its weights come back unchanged.
+
+    In float32 a wrong strategy is not mistaken for the rounding of half precision. A model too
+    large for that, on the GPU or by count, stays as it is.
+    """
     model = forward.model
     tensors = [*model.parameters(), *model.buffers()]
     half = {torch.float16, torch.bfloat16}
@@ -142,8 +150,3 @@ def in_float32(forward: Forward) -> Iterator[None]:
         yield
     finally:
         back()
-
-
-def _one_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return f"{type(error).__name__}: {lines[0][:160] if lines else ''}"

@@ -1,4 +1,9 @@
-"""Ways to score token sequences with a causal language model: equal results, unequal speed."""
+"""Ways to score token sequences with a causal language model: equal results, unequal speed.
+
+Every :data:`Strategy` takes sorted sequences and returns their log probabilities in nats,
+``[sequences]``, float64. No forward pass holds more than ``budget`` padded tokens, unless a single
+sequence or row does.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ from torch import Tensor
 from transformers import DynamicCache
 
 from roomtables.lm.forward import FloatArray, Forward
-from roomtables.lm.progress import Meter
+from roomtables.lm.scorer import Meter
 from roomtables.lm.trie import (
     Group,
     IntArray,
@@ -24,14 +29,15 @@ from roomtables.lm.trie import (
 
 Strategy = Callable[[Forward, Sequences, int, Meter], FloatArray]
 
-# Nodes in a row of a packed pass: attention costs the square of it, repeated ancestors its inverse.
 ROW_NODES = 128
+"""Nodes in a row of a packed pass: attention costs the square of it, repeated ancestors its
+inverse."""
 
 
 def trie(
     forward: Forward, sequences: Sequences, budget: int, meter: Meter, row_nodes: int = ROW_NODES
 ) -> FloatArray:
-    """Every distinct prefix once: the inner nodes of the token trie, packed into rows."""
+    """Every distinct prefix once: the inner nodes of the token trie, in rows of ``row_nodes``."""
     tree = build_trie(sequences)
     rows = cut_rows(tree, min(row_nodes, budget))
     edge = np.zeros(len(tree.edge_source) + 1)
@@ -52,7 +58,7 @@ def trie(
 
 
 def _ancestor_mask(forward: Forward, end: IntArray) -> Tensor:
-    """Additive mask (rows, 1, columns, columns): a node sees itself and its ancestors.
+    """Additive mask ``[rows, 1, columns, columns]``: a node sees itself and its ancestors.
 
     In preorder those are the earlier columns whose subtree has not ended. Additive in the model's
     dtype, because a boolean mask is added as 0 and 1 by eager attention, silently.
@@ -117,7 +123,7 @@ def _score_group(forward: Forward, sequences: Sequences, group: Group) -> FloatA
 
 
 def padded(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> FloatArray:
-    """Right-padded batches of sequences of similar length; right for every causal model."""
+    """Right-padded batches of sequences of similar length, which every causal model can run."""
     scores = np.empty(len(sequences))
     for rows in batches_by_length(sequences.lengths, budget):
         width = int(sequences.lengths[rows].max()) - 1  # the last token is read, never run
@@ -136,7 +142,7 @@ def padded(forward: Forward, sequences: Sequences, budget: int, meter: Meter) ->
 
 
 def naive(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> FloatArray:
-    """One forward per sequence: the reference, and what is left when all else disagrees."""
+    """One plain forward per sequence: the last resort, where all other strategies disagree."""
     scores = np.empty(len(sequences))
     for row in range(len(sequences)):
         tokens = sequences.row(row)

@@ -1,8 +1,9 @@
-"""The token trie of many sentences, cut into rows for packed forward passes. Knows no tensors.
+"""Token sequences sorted, and packed so that a shared prefix runs through the model once.
 
-Sentences that begin alike share nodes, so each distinct prefix runs through the model once. A leaf
-is never run: its probability is read from its parent. What remains, the inner nodes in preorder, is
-cut into rows; a row repeats the ancestors of its first node, which attend but are not read again.
+Two ways of packing, both in numpy. The token trie: sequences that begin alike share nodes; a leaf
+is not run, as its probability is read from its parent; the inner nodes in preorder are cut into
+rows, and a row repeats the ancestors of its first node, which later nodes attend to. Groups:
+consecutive sequences with a common prefix, for models with a key-value cache but no packed mask.
 """
 
 from __future__ import annotations
@@ -14,10 +15,55 @@ from itertools import chain
 import numpy as np
 import numpy.typing as npt
 
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Sequences:
+    """Distinct token sequences in lexicographic order, so that shared prefixes lie together.
+
+    ``matrix`` has shape (sequences, longest), -1 beyond each of ``lengths``.
+    """
+
+    matrix: IntArray
+    lengths: IntArray
+
+    def __len__(self) -> int:
+        return len(self.matrix)
+
+    def row(self, index: int) -> list[int]:
+        """The tokens of one sequence, without padding."""
+        tokens: list[int] = self.matrix[index, : self.lengths[index]].tolist()
+        return tokens
+
+    def take(self, chosen: npt.NDArray[np.bool_]) -> Sequences:
+        """The chosen sequences, still sorted, no wider than they need."""
+        lengths = self.lengths[chosen]
+        return Sequences(self.matrix[chosen, : lengths.max(initial=0)], lengths)
+
+
+def sort_sequences(encoded: Sequence[Sequence[int]]) -> tuple[Sequences, IntArray]:
+    """Sorted distinct sequences, and for each one given its index among them, ``[given]``."""
+    lengths = np.fromiter(map(len, encoded), np.int64, len(encoded))
+    flat = np.fromiter(chain.from_iterable(encoded), np.int64, lengths.sum())
+    matrix = np.full((len(encoded), lengths.max(initial=0)), -1, np.int64)
+    matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = flat
+    order = np.lexsort(matrix.T[::-1])
+    ordered = matrix[order]
+    first = np.ones(len(order), bool)
+    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    index = np.empty(len(order), np.int64)
+    index[order] = np.cumsum(first) - 1
+    return Sequences(ordered[first], lengths[order][first]), index
+
 
 @dataclass(frozen=True)
 class Trie:
-    """Inner nodes in preorder, and the edges (log probabilities) that are read from them."""
+    """Inner nodes in preorder, and the edges (log probabilities) that are read from them.
+
+    ``token``, ``depth``, ``parent`` and ``end`` have shape (inner nodes,); ``edge_source`` and
+    ``edge_token`` have shape (edges,).
+    """
 
     token: IntArray
     """Token id of each inner node."""
@@ -36,7 +82,7 @@ class Trie:
 
 
 def build_trie(sequences: Sequences) -> Trie:
-    """Trie of sorted sequences of at least two tokens, in a few passes over their matrix."""
+    """The trie of sorted sequences of at least two tokens each."""
     matrix = sequences.matrix
     present = matrix >= 0
     shared = np.zeros_like(present)
@@ -90,7 +136,10 @@ class Row:
 
 
 def cut_rows(trie: Trie, size: int) -> list[Row]:
-    """Rows of about ``size`` nodes, cut in their last quarter where fewest ancestors repeat."""
+    """Rows of at most ``size`` nodes, cut in their last quarter where fewest ancestors repeat.
+
+    A row is longer where more than half of it would be ancestors.
+    """
     rows = []
     start = 0
     while start < len(trie.token):
@@ -119,7 +168,7 @@ def _ancestors(trie: Trie, node: int) -> IntArray:
 
 
 def batch_rows(rows: list[Row], budget: int) -> Iterator[list[Row]]:
-    """Rows of similar length together, at most ``budget`` padded nodes a batch."""
+    """Rows of similar length together, at most ``budget`` padded nodes or one row a batch."""
     by_length = sorted(rows, key=len, reverse=True)
     start = 0
     while start < len(by_length):
@@ -168,47 +217,6 @@ def lay_out(trie: Trie, rows: list[Row]) -> Layout:
     )
 
 
-IntArray = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Sequences:
-    """Distinct token sequences in lexicographic order, so that shared prefixes lie together.
-
-    ``matrix`` has shape (sequences, longest), -1 beyond each of ``lengths``.
-    """
-
-    matrix: IntArray
-    lengths: IntArray
-
-    def __len__(self) -> int:
-        return len(self.matrix)
-
-    def row(self, index: int) -> list[int]:
-        tokens: list[int] = self.matrix[index, : self.lengths[index]].tolist()
-        return tokens
-
-    def take(self, chosen: npt.NDArray[np.bool_]) -> Sequences:
-        """The chosen sequences, still sorted, no wider than they need."""
-        lengths = self.lengths[chosen]
-        return Sequences(self.matrix[chosen, : lengths.max(initial=0)], lengths)
-
-
-def sort_sequences(encoded: Sequence[Sequence[int]]) -> tuple[Sequences, IntArray]:
-    """Sorted distinct sequences, and for each one given its index among them."""
-    lengths = np.fromiter(map(len, encoded), np.int64, len(encoded))
-    flat = np.fromiter(chain.from_iterable(encoded), np.int64, lengths.sum())
-    matrix = np.full((len(encoded), lengths.max(initial=0)), -1, np.int64)
-    matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = flat
-    order = np.lexsort(matrix.T[::-1])
-    ordered = matrix[order]
-    first = np.ones(len(order), bool)
-    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    index = np.empty(len(order), np.int64)
-    index[order] = np.cumsum(first) - 1
-    return Sequences(ordered[first], lengths[order][first]), index
-
-
 @dataclass(frozen=True)
 class Group:
     """Sequences ``start`` to ``stop``, whose first ``prefix`` tokens are the same."""
@@ -219,6 +227,7 @@ class Group:
 
     @property
     def rows(self) -> slice:
+        """The group's sequences as a slice of the sorted ones."""
         return slice(self.start, self.stop)
 
 

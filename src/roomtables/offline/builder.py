@@ -1,32 +1,43 @@
 """The build: labels → sentences → scores → co-occurrence → entropy → queries → lookup → published.
 
-Everything is written aside; a version appears whole or not at all. What is scored stays in the
-sentence cache whatever happens.
+Everything is written aside; a version appears whole or not at all. A build that is killed leaves
+the published version as it was, the score parts that it had finished (the next build uses them),
+and a folder ``.staging-<process>`` (the next build removes it).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import duckdb
-
-from roomtables.config import BuildConfig
-from roomtables.offline import stages
+from roomtables.config import BuildConfig, pipeline_folder
+from roomtables.errors import StoreError
 from roomtables.offline.engines import score
 from roomtables.offline.inputs import Inputs, LazyScorer
-from roomtables.offline.plan import CACHED, combined, decide, stage_fingerprints
 from roomtables.offline.scoring import Scored, Work, missing_sentences
-from roomtables.offline.stages import interruptible
-from roomtables.schemas import SCHEMA_VERSION, VERSION_TABLES
+from roomtables.offline.stages import (
+    CACHED,
+    Stage,
+    decide,
+    fingerprint,
+    listed_stages,
+    recorded_reads,
+)
+from roomtables.offline.tables import Reads, Tables
+from roomtables.offline.workspace import Workspace, WorkTable, workspace
+from roomtables.schemas import VERSION_TABLES
 from roomtables.scorer import Scorer
 from roomtables.storage.files import build_lock, utc_now
-from roomtables.storage.lookup_writer import derive_lookup
-from roomtables.storage.score_cache import SentenceCache
-from roomtables.storage.versions import LOOKUP, SpaceFolder, Version, file_facts
+from roomtables.storage.lookup_writer import LookupSettings, derive_lookup
+from roomtables.storage.manifest import FileFacts, Manifest, Rate
+from roomtables.storage.score_cache import NO_SCORES, SentenceCache
+from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
+
+_SHOWN_ROWS = 3
 
 
 @dataclass(frozen=True)
@@ -74,42 +85,24 @@ def build(
         Bad input, a model that cannot be loaded, a failed check: nothing is published.
     """
     started = time.monotonic()
-    config = replace(config, **options) if config else BuildConfig.load(**options)
-    inputs = Inputs.read(config)
+    config = config.changed(**options) if config else BuildConfig.load(**options)
+    stages, inputs = listed_stages(config), Inputs.read(config)
     model = LazyScorer(config, scorer)
     with build_lock(Path(tables), wait):
-        return _build(inputs, model, Path(tables), progress, started)
-
-
-def _build(
-    inputs: Inputs, model: LazyScorer, tables: Path, progress: bool, started: float
-) -> BuildReport:
-    """Decide, make, publish; for whoever holds the build lock."""
-    scorer_id = model.scorer_id if inputs.needs_model else None
-    inputs = inputs.asking(tables)
-    fingerprints = stage_fingerprints(inputs, scorer_id)
-    space = SpaceFolder(tables, inputs.labels.name)
-    space.remove_abandoned()
-    cache = open_cache(tables, scorer_id)
-    current = space.published()
-    decided = decide(fingerprints, current, cache, inputs.config.full_refresh)
-    if current and all(stage.state == CACHED for stage in decided):
-        inputs.asked.answered()
-        return _report(current, 0, started, published=False)
-    making = _Making(inputs, model, cache, progress)
-    with interruptible(space.path), space.staging() as staging:
-        manifest = making.run(staging) | {
-            "inputs": combined(fingerprints),
-            "stages": {name: found._asdict() for name, found in fingerprints.items()},
-            "rate": making.rate(current),
-            "created": utc_now(),
-            "seconds": round(time.monotonic() - started, 3),
-        }
-        manifest["model"]["described"] = making.described(current)
-        version = space.publish(staging, space.new_name(manifest["inputs"]), manifest)
-    inputs.asked.answered()
-    space.remove_old()
-    return _report(version, version.manifest["sentences_scored"], started, published=True)
+        making = _Making.prepare(stages, inputs.and_misses(Path(tables)), model, Path(tables))
+        version = making.published_already()
+        if version is None:
+            version = making.publish(started, progress)
+            making.space.remove_old()
+        making.inputs.asked.take_in_misses()
+    return BuildReport(
+        version.manifest.labels,
+        version.name,
+        making.scored.sentences,
+        version.manifest.sentences - making.scored.sentences,
+        round(time.monotonic() - started, 3),
+        published=version != making.current,
+    )
 
 
 def open_cache(tables: Path, scorer_id: str | None) -> SentenceCache | None:
@@ -129,132 +122,146 @@ def open_cache(tables: Path, scorer_id: str | None) -> SentenceCache | None:
     return cache
 
 
-def _report(version: Version, scored: int, started: float, published: bool) -> BuildReport:
-    return BuildReport(
-        version.manifest["labels"],
-        version.name,
-        scored,
-        version.manifest["sentences"] - scored,
-        round(time.monotonic() - started, 3),
-        published,
-    )
-
-
 @dataclass
 class _Making:
-    """A version in the making: what it reads, whom it asks, what it has counted so far."""
+    """A version in the making, for whoever holds the build lock.
 
+    ``sentences`` counts those that were needed so far, ``scored`` those that had to be scored.
+    """
+
+    stages: tuple[Stage, ...]
+    recorded: Mapping[str, Mapping[str, Any]]
     inputs: Inputs
     model: LazyScorer
     cache: SentenceCache | None
-    progress: bool
+    space: SpaceFolder
+    current: Version | None
     sentences: int = 0
     scored: Scored = field(default_factory=Scored)
 
-    def run(self, staging: Path) -> dict[str, Any]:
-        """Make, check and write every table in ``staging``; returns the manifest's content."""
-        connection = stages.connect(staging)
-        try:
-            self._make_tables(connection)
-            stages.run_checks(connection)
-            rows = {name: stages.export(connection, name, staging) for name in VERSION_TABLES}
-            lookup = derive_lookup(
-                connection,
-                staging,
-                staging / LOOKUP,
-                self.inputs.labels,
-                self._sentence_settings(),
-            )
-            combinations = connection.execute(
-                "select source, count(key) from (select distinct source from cooccurrence) "
-                "left join query_scores using (source) group by source order by source"
-            ).fetchall()
-        finally:
-            connection.close()
-        stages.remove_workspace(staging)
+    @classmethod
+    def prepare(
+        cls, stages: tuple[Stage, ...], inputs: Inputs, model: LazyScorer, tables: Path
+    ) -> _Making:
+        scorer_id = model.scorer_id if inputs.needs_model else None
+        recorded = recorded_reads(stages, inputs, scorer_id)
+        space = SpaceFolder(tables, inputs.labels.name)
+        space.remove_abandoned()
+        cache = open_cache(tables, scorer_id)
+        return cls(stages, recorded, inputs, model, cache, space, space.published())
+
+    def published_already(self) -> Version | None:
+        """The published version, where every stage of it is up to date."""
+        refresh = self.inputs.config.full_refresh
+        decided = decide(self.recorded, self.current, self.cache, refresh)
+        return self.current if all(stage.state == CACHED for stage in decided) else None
+
+    def publish(self, started: float, progress: bool) -> Version:
+        """Make every table aside, check them, and publish them as a version."""
+        with self.space.staging() as staging:
+            with workspace(staging) as work:
+                tables = Tables(work, self.inputs, partial(self._score, work, progress))
+                for stage in self.stages:
+                    if stage.name == LOOKUP:
+                        self._write_out(tables, tables.reads(stage), staging)
+                    else:
+                        tables.make(stage)
+                rows = {name: work.count(tables[name]) for name in VERSION_TABLES}
+                combinations = work.rows(
+                    "select source, count(key) "
+                    f"from (select distinct source from {tables['cooccurrence']}) "
+                    f"left join {tables['query_scores']} using (source) "
+                    "group by source order by source"
+                )
+            seconds = round(time.monotonic() - started, 3)
+            manifest = self._manifest(staging, rows, dict(combinations), seconds)
+            name = self.space.new_name(fingerprint(self.recorded))
+            return self.space.publish(staging, name, manifest)
+
+    def _write_out(self, tables: Tables, reads: Reads, staging: Path) -> None:
+        """Check the tables, write them, and derive the mapped lookup: the last stage."""
+        _run_checks(tables.workspace)
+        for name in VERSION_TABLES:
+            tables.workspace.export(reads.table(name), staging)
+        settings = {name: reads.value(name) for name in LookupSettings._fields}
+        derive_lookup(staging, self.inputs.labels, LookupSettings(**settings))
+
+    def _score(self, work: Workspace, progress: bool, asked: WorkTable) -> WorkTable:
+        """See that all sentences of a table are in the cache; the view of its scores."""
+        needed = work.table("needed", f"select distinct sentence from {asked}")
+        count = work.count(needed)
+        self.sentences += count
+        if self.cache is None or not count:
+            held = self.cache.select() if self.cache else NO_SCORES
+            return work.view("sentence_scores", held)
+        config = self.inputs.config
+        if config.full_refresh:
+            self.cache.evict(work.connection, str(needed))
+        missing = missing_sentences(work, needed, self.cache)
+        total = work.count(missing)
+        if total:
+            job = Work(work, missing, self.cache, self.model, config, total, progress)
+            self.scored += score(job)
+        return work.view("sentence_scores", self.cache.select())
+
+    def _manifest(
+        self, staging: Path, rows: dict[str, int], combinations: dict[str, int], seconds: float
+    ) -> Manifest:
+        inputs, labels = self.inputs, self.inputs.labels
+        imported = f"imported-{inputs.scores.recorded()[:12]}" if inputs.scores else None
+        scorer_id = self.cache.scorer_id if self.cache else None
         files = sorted(path for path in staging.rglob("*") if path.is_file())
-        return (
-            self._manifest()
-            | lookup
-            | {
-                "rows": rows,
-                "combinations": dict(combinations),
-                "files": {path.relative_to(staging).as_posix(): file_facts(path) for path in files},
-            }
+        return Manifest(
+            labels=labels.name,
+            created=utc_now(),
+            seconds=seconds,
+            settings=inputs.config,
+            stages=self.recorded,
+            scorer_id=str(imported or scorer_id),
+            query_scorer_id=scorer_id,
+            model=self.model.describe() or (self._same_model_before("model") or {}),
+            score_parts=tuple(part.name for part in self.cache.parts()) if self.cache else (),
+            rate=self._rate() or self._same_model_before("rate"),
+            objects=len(labels.objects),
+            rooms=len(labels.rooms),
+            predicted_rooms=len(labels.predicted_rooms),
+            rows=rows,
+            combinations=combinations,
+            sentences=self.sentences,
+            sentences_scored=self.scored.sentences,
+            files={path.relative_to(staging).as_posix(): FileFacts.of(path) for path in files},
         )
 
-    def _make_tables(self, connection: duckdb.DuckDBPyConnection) -> None:
-        """All tables, in the order of the stages."""
-        stages.prepare(connection, self.inputs)
-        if self.inputs.scores is None:
-            self._score(connection, stages.SINGLES)
-        stages.derive(connection, self.inputs)
-        if self.inputs.config.combinations != "none":
-            self._score(connection, stages.QUERIES)
-        stages.run_stage(connection, "query_scores")
-
-    def _score(self, connection: duckdb.DuckDBPyConnection, sentences: str) -> None:
-        """See that every sentence that is selected is in view ``sentence_scores``."""
-        assert self.cache is not None  # whoever needs a sentence needs a model
-        self.sentences += stages.need(connection, sentences)
-        if self.inputs.config.full_refresh:
-            self.cache.evict(connection, "needed")
-        missing = missing_sentences(connection, self.cache, "needed")
-        if missing:
-            work = Work(
-                connection, self.cache, self.model, self.inputs.config, missing, self.progress
-            )
-            self.scored += score(work)
-        select = self.cache.select()
-        connection.execute(f"create or replace view sentence_scores as {select}")
-
-    def rate(self, before: Version | None) -> Mapping[str, Any] | None:
-        """What scoring cost, for `plan` to go by: measured now, or noted by the version before."""
+    def _rate(self) -> Rate | None:
         done = self.scored
-        if done.sentences and done.seconds > 0:
-            return {
-                "sentences_per_second": round(done.sentences / done.seconds, 1),
-                "tokens_per_sentence": round(done.tokens / done.sentences, 2),
-                "sentences": done.sentences,
-                "workers": done.workers,
-            }
-        return self._noted(before, "rate")
+        if not done.sentences or done.seconds <= 0:
+            return None
+        return Rate(
+            round(done.sentences / done.seconds, 1),
+            round(done.tokens / done.sentences, 2),
+            done.sentences,
+            done.workers,
+        )
 
-    def described(self, before: Version | None) -> Mapping[str, Any]:
-        """Provenance of the model; of a model that had nothing to score, what was noted before."""
-        return self.model.describe() or (self._noted(before, "model") or {}).get("described", {})
+    def _same_model_before(self, field_: str) -> Any:
+        """What the version before recorded, where the same model had nothing to score now."""
+        before, cache = self.current, self.cache
+        same = before and cache and before.manifest.query_scorer_id == cache.scorer_id
+        return getattr(before.manifest, field_) if before and same else None
 
-    def _noted(self, before: Version | None, key: str) -> Mapping[str, Any] | None:
-        same = before and before.manifest["query_scorer_id"] == self._scorer_id
-        return before.manifest.get(key) if before and same else None
 
-    @property
-    def _scorer_id(self) -> str | None:
-        return self.cache.scorer_id if self.cache else None
+def _run_checks(work: Workspace) -> None:
+    """Run every ``pipeline/checks/*.sql``; each must return no row.
 
-    def _sentence_settings(self) -> dict[str, Any]:
-        config = self.inputs.config
-        return {"k": config.k, "template": config.template, "reduction": config.reduction}
-
-    def _manifest(self) -> dict[str, Any]:
-        inputs, config = self.inputs, self.inputs.config
-        imported = f"imported-{inputs.scores.fingerprint[:12]}" if inputs.scores else None
-        return self._sentence_settings() | {
-            "schema_version": SCHEMA_VERSION,
-            "labels": inputs.labels.name,
-            "labels_fingerprint": inputs.labels.fingerprint,
-            "objects": len(inputs.labels.objects),
-            "rooms": len(inputs.labels.rooms),
-            "predicted_rooms": len(inputs.labels.predicted_rooms),
-            "scorer_id": imported or self._scorer_id,
-            "query_scorer_id": self._scorer_id,
-            "score_parts": [part.name for part in self.cache.parts()] if self.cache else [],
-            "model": {n: getattr(config, n) for n in ("model", "revision", "dtype", "scoring")},
-            "decision": {
-                name: getattr(config, name)
-                for name in ("source", "rule", "prior_weight", "evidence_power")
-            },
-            "smoothing": inputs.smoothing,
-            "sentences": self.sentences,
-            "sentences_scored": self.scored.sentences,
-        }
+    Raises
+    ------
+    StoreError
+        A check returned rows; the message names the check and shows the first of them.
+    """
+    for path in sorted((pipeline_folder() / "checks").glob("*.sql")):
+        rows = work.rows(path.read_text(encoding="utf-8"))[:_SHOWN_ROWS]
+        if rows:
+            raise StoreError(
+                f"check {path.stem} failed, so nothing is published; rows: "
+                f"{'; '.join(map(str, rows))}; run `roomtables build --full-refresh`"
+            )

@@ -1,23 +1,28 @@
-"""Which combinations of objects get a query sentence: all of a label space, or what rooms need."""
+"""Which combinations of objects get a query sentence: all, or those that were asked for."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import chain, combinations
 from math import comb
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from roomtables.errors import ConfigError, StoreError
-from roomtables.labels import LabelSpace, normalise
+from roomtables.errors import ConfigError
+from roomtables.labels import LabelSpace, ObjectLabel, normalise
+from roomtables.rooms import read_room_lines
 from roomtables.sentences import Template
-from roomtables.storage.lookup import Lookup, key_bits, unpack_ranks
+from roomtables.storage.files import refuse_outside
+from roomtables.storage.lookup import key_bits, pack_keys
 from roomtables.storage.misses import FOLDER, Misses
-from roomtables.storage.versions import LOOKUP, SpaceFolder
+from roomtables.storage.versions import SpaceFolder
 
 Ranks = NDArray[np.int64]
 
@@ -36,11 +41,6 @@ def check_key_size(objects: int, k: int) -> None:
         )
 
 
-def count_all(objects: int, k: int) -> int:
-    """How many combinations of 1 to ``k`` objects there are (7,175 for 35 objects and k = 3)."""
-    return sum(comb(objects, size) for size in range(1, k + 1))
-
-
 def all_combinations(objects: int, k: int) -> Ranks:
     """Every combination of 1 to ``k`` ranks, ``[n, k]``, ascending, 0 behind the last."""
     blocks = []
@@ -52,78 +52,76 @@ def all_combinations(objects: int, k: int) -> Ranks:
     return np.concatenate(blocks)
 
 
-def combinations_of_rooms(
-    rooms: Iterable[Sequence[str]], labels: LabelSpace, ranks: Mapping[str, int], k: int
-) -> Ranks:
-    """The combinations that rooms need: the ``k`` best ranks among each room's known objects."""
-    needed = set()
-    for objects in rooms:
-        names = {labels.object_aliases.get(normalise(name)) for name in objects}
-        known = sorted(ranks[name] for name in names if name is not None)
-        if known:
-            needed.add((*known[:k], *(0,) * (k - len(known))))
-    return np.array(sorted(needed), np.int64).reshape(-1, k)
-
-
-def query_frames(
-    ranks: Ranks, by_rank: Sequence[str], labels: LabelSpace, template: Template
-) -> Iterator[tuple[list[str], str, str]]:
-    """Per combination: object labels in sentence order, and the sentence around its room."""
-    by_label = {label.label: label for label in labels.objects}
-    in_order = [by_label[name] for name in by_rank]
-    for row in ranks.tolist():
-        chosen = [in_order[rank - 1] for rank in row if rank]
-        yield [o.label for o in chosen], *template.around_room(chosen)
-
-
 @dataclass(frozen=True)
 class Asked:
-    """Combinations by source, as numbers of objects (from 1, in label order).
+    """Combinations that were asked for, where the settings do not want all of them.
 
     Attributes
     ----------
-    by_source : ``[n, widest]``, each row ascending, 0 behind the last; rows sorted and distinct
-    misses : the misses that these answer; ``None`` where misses were not read
+    rooms : the known objects of each room of a file, as numbers (from 1, in label order)
+    by_source : per source, the combinations of misses, and those that are published already, as
+        numbers ``[n, widest]``: each row ascending, 0 behind the last; rows sorted and distinct
+    misses : the misses that were read; ``None`` where they were not
     """
 
-    by_source: Mapping[str, Ranks]
+    rooms: tuple[tuple[int, ...], ...] = ()
+    by_source: Mapping[str, Ranks] = field(default_factory=dict)
     misses: Misses | None = None
 
     @classmethod
-    def read(cls, combinations: str, labels: LabelSpace, tables: Path) -> Asked:
-        """What the setting ``combinations`` takes in besides all, none, or a file's rooms.
+    def by_file(cls, combinations: str, labels: LabelSpace) -> Asked:
+        """What the rooms of the setting's file need; nothing where the setting names no file.
 
-        ``misses``: what the published version holds, and the misses. A file: misses, old and new.
-        ``all``: the misses are among them.
+        Raises
+        ------
+        InputError
+            The file cannot be read, or is malformed.
+        """
+        if combinations in {"all", "none", "misses"}:
+            return cls()
+        numbers = _numbers(labels)
+        rooms = {
+            tuple(sorted({numbers[name] for name in _labels(room.objects, labels)}))
+            for room in read_room_lines(Path(combinations))
+        }
+        return cls(tuple(sorted(rooms - {()})))
+
+    def and_by_misses(self, combinations: str, labels: LabelSpace, tables: Path) -> Asked:
+        """These, and what misses and published tables under ``tables`` ask for.
+
+        ``misses``: what is published already, and the misses that no build has taken in. A file:
+        all misses, taken in or not. ``all``: the misses are among them. ``none``: none.
         """
         if combinations == "none":
-            return cls({})
+            return self
         space = SpaceFolder(tables, labels.name)
         misses = Misses.read(space.path / FOLDER)
         if combinations == "all":
-            return cls({}, misses)
+            return replace(self, misses=misses)
         questions = {(miss.source, miss.objects) for miss in misses.open}
-        held: dict[str, list[Ranks]] = {}
+        found: dict[str, list[Ranks]] = {}
         if combinations == "misses":
-            held = _published(space, labels)
+            found = _published(space, labels)
         else:
             questions |= misses.taken
-        numbers = {o.label: number for number, o in enumerate(labels.objects, start=1)}
+        numbers = _numbers(labels)
         for source, objects in questions:
-            names = {labels.object_aliases.get(normalise(name)) for name in objects}
-            if names and None not in names:
-                row = np.array([[numbers[name] for name in names if name]], np.int64)
-                held.setdefault(source, []).append(row)
-        return cls({source: _distinct(parts) for source, parts in sorted(held.items())}, misses)
+            known = _labels(objects, labels)
+            if known and len(known) == len(objects):
+                row = np.array([[numbers[label] for label in sorted(set(known))]], np.int64)
+                found.setdefault(source, []).append(row)
+        by_source = {source: _distinct(parts) for source, parts in sorted(found.items())}
+        return replace(self, by_source=by_source, misses=misses)
 
-    def answered(self) -> None:
-        """Note that a published version answers the misses that were read."""
+    def take_in_misses(self) -> None:
+        """Note that a published version holds the misses that were read."""
         if self.misses is not None:
             self.misses.take_in()
 
-    def fingerprint(self) -> list[str]:
-        """What the combinations of each source are, hashed."""
-        return [
+    def recorded(self) -> list[str]:
+        """What was asked for, hashed: for the record of a build's inputs."""
+        rooms = hashlib.sha256(repr(self.rooms).encode()).hexdigest()
+        return [f"rooms {len(self.rooms)} {rooms}"] + [
             f"{source} {rows.shape} {hashlib.sha256(rows.tobytes()).hexdigest()}"
             for source, rows in self.by_source.items()
         ]
@@ -131,33 +129,82 @@ class Asked:
     def ranked(self, source: str, ranks: Sequence[int], k: int) -> Ranks:
         """A source's combinations as ranks ``[n, k]``, ascending, 0 behind the last.
 
-        ``ranks`` are those of the objects, in label order.
+        ``ranks`` are those of the objects, in label order. Of more than ``k`` objects those of
+        least rank count; rows are distinct and sorted by key.
         """
-        numbers = self.by_source.get(source, np.zeros((0, k), np.int64))
+        rows = [_padded(self.rooms)]
+        rows += [self.by_source[source]] if source in self.by_source else []
         none = len(ranks) + 1
-        found = np.sort(np.array([none, *ranks], np.int64)[numbers], axis=1)[:, :k]
-        found = np.pad(found, ((0, 0), (0, k - found.shape[1])), constant_values=none)
-        return np.where(found == none, 0, found)
+        rank_of = np.array([none, *ranks], np.int64)
+        parts = [np.zeros((0, k), np.int64)]
+        for numbers in rows:
+            found = np.sort(rank_of[numbers], axis=1)[:, :k]
+            found = np.pad(found, ((0, 0), (0, k - found.shape[1])), constant_values=none)
+            parts.append(np.where(found == none, 0, found))
+        needed = np.concatenate(parts)
+        _, first = np.unique(pack_keys(needed, k), return_index=True)
+        return needed[first]
+
+
+def query_frames(
+    ranks: Ranks, by_rank: Sequence[ObjectLabel], template: Template
+) -> Iterator[tuple[list[str], str, str]]:
+    """Per combination: object labels in sentence order, and the sentence around its room."""
+    for row in ranks.tolist():
+        chosen = [by_rank[rank - 1] for rank in row if rank]
+        yield [o.label for o in chosen], *template.around_room(chosen)
+
+
+def _numbers(labels: LabelSpace) -> dict[str, int]:
+    return {o.label: number for number, o in enumerate(labels.objects, start=1)}
+
+
+def _labels(names: Iterable[str], labels: LabelSpace) -> list[str]:
+    """The labels of the known ones among some names, in their order."""
+    found = (labels.object_aliases.get(normalise(name)) for name in names)
+    return [label for label in found if label is not None]
 
 
 def _published(space: SpaceFolder, labels: LabelSpace) -> dict[str, list[Ranks]]:
-    """The combinations that are published, of objects that the label space still has."""
-    version = space.published()
+    """The combinations that are published, of objects that the label space still has.
+
+    They are read from the table itself, whose columns ``source`` and ``objects`` every schema
+    version has: tables of an older roomtables lose none.
+    """
+    version = space.named_by_current()
     if version is None:
         return {}
+    path = version / "query_scores.parquet"
+    refuse_outside(space.path.parent, space.path, version, path)
     try:
-        lookup = Lookup.open(version.path / LOOKUP, version.manifest)
-    except StoreError:  # built anew all the same
+        table = pq.read_table(path, columns=["source", "objects"])
+    except (pa.ArrowException, OSError):  # built anew all the same
         return {}
-    now = {o.label: number for number, o in enumerate(labels.objects, start=1)}
+    numbers = _numbers(labels)
     found = {}
-    for source, arrays in lookup.sources.items():
-        number_of_rank = np.zeros(1 + len(lookup.objects), np.int64)
-        number_of_rank[arrays.ranks] = [now.get(o.label, 0) for o in lookup.objects]
-        ranks = unpack_ranks(arrays.keys, lookup.k)
-        numbers = number_of_rank[ranks]
-        found[source] = [numbers[((numbers > 0) == (ranks > 0)).all(axis=1)]]
+    for source in pc.unique(table.column("source")).to_pylist():
+        rows = table.filter(pc.equal(table.column("source"), source))
+        found[source] = [_rows(rows.column("objects").combine_chunks(), numbers)]
     return found
+
+
+def _rows(objects: pa.ListArray, numbers: Mapping[str, int]) -> Ranks:
+    """Lists of labels as rows of numbers, 0 behind the last; those of unknown labels left out."""
+    lengths = pc.list_value_length(objects).to_numpy(zero_copy_only=False)
+    labels = objects.flatten().dictionary_encode()
+    known = np.array([numbers.get(label, 0) for label in labels.dictionary.to_pylist()], np.int64)
+    rows = np.zeros((len(objects), lengths.max(initial=1)), np.int64)
+    rows[np.arange(rows.shape[1]) < lengths[:, None]] = known[labels.indices.to_numpy()]
+    known_rows: Ranks = rows[np.count_nonzero(rows, axis=1) == lengths]
+    return known_rows
+
+
+def _padded(rows: Sequence[Sequence[int]]) -> Ranks:
+    """Rows of unequal length as one array, 0 behind the last number."""
+    padded = np.zeros((len(rows), max(map(len, rows), default=0)), np.int64)
+    for place, row in enumerate(rows):
+        padded[place, : len(row)] = row
+    return padded
 
 
 def _distinct(parts: Iterable[Ranks]) -> Ranks:

@@ -45,7 +45,7 @@ _SHARDS_PER_WORKER = 4
 
 
 def score(work: Work) -> Scored:
-    """Score table ``todo`` with the engine of the configuration, and append to the cache.
+    """Score the missing sentences with the engine of the configuration, and append to the cache.
 
     Ray runs on the cluster that ``RAY_ADDRESS`` names, or else on this machine.
 
@@ -181,7 +181,7 @@ def _reason(error: Exception) -> str:
 
 
 def _write_shards(work: Work, folder: Path, workers: int) -> list[Path]:
-    """The sentences of ``todo`` as Parquet files for the actors to read."""
+    """The missing sentences as Parquet files for the actors to read."""
     size = min(SHARD_SENTENCES, math.ceil(work.total / (workers * _SHARDS_PER_WORKER)))
     shards: list[Path] = []
     sentences = work.sentences()

@@ -7,8 +7,8 @@ import json
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,12 @@ from roomtables.labels import LabelSpace, normalise
 from roomtables.offline.combinations import Asked, check_key_size
 from roomtables.rooms import read_room_lines
 from roomtables.scorer import Scorer
-from roomtables.sentences import Template
+
+log = logging.getLogger(__name__)
+
+Pair = tuple[str, str]
+# What a stage may read besides settings and earlier stages: input files, by their content.
+INPUTS = frozenset({"objects.csv", "rooms.csv", "counts", "scores", "asked"})
 
 
 @dataclass(frozen=True)
@@ -28,17 +33,15 @@ class Inputs:
 
     Attributes
     ----------
-    rooms : the objects of each room whose combination is to be scored; ``None`` where the
-        settings ask for no file's rooms
-    asked : combinations that misses, or what is published, ask for besides
+    counts : times that object and room were seen together; ``None`` where none were given
+    scores : S(o, r) in nats that stand in for the model's; ``None`` where none were given
+    asked : the combinations that were asked for, where the settings do not want all of them
     """
 
     config: BuildConfig
     labels: LabelSpace
-    template: Template
     counts: PairValues | None
     scores: PairValues | None
-    rooms: Sequence[Sequence[str]] | None
     asked: Asked
 
     @classmethod
@@ -55,40 +58,100 @@ class Inputs:
         return cls(
             config,
             labels,
-            Template(config.template),
             read_counts(config.counts, labels) if config.counts else None,
             read_scores(config.scores, labels, config.reduction) if config.scores else None,
-            _rooms(config.combinations),
-            Asked({}),
+            Asked.by_file(config.combinations, labels),
         )
 
-    def asking(self, tables: Path) -> Inputs:
-        """These, and what the misses and the published version under ``tables`` ask for."""
-        return replace(self, asked=Asked.read(self.config.combinations, self.labels, tables))
+    def and_misses(self, tables: Path) -> Inputs:
+        """These, and what misses and the published tables under ``tables`` ask for."""
+        asked = self.asked.and_by_misses(self.config.combinations, self.labels, tables)
+        return replace(self, asked=asked)
 
-    @property
-    def smoothing(self) -> float:
-        """α: what is added to each count; 1 / |R| unless set."""
-        given = self.config.smoothing
-        return 1 / len(self.labels.rooms) if given is None else given
+    def asks(self, stage: str) -> bool:
+        """Whether a stage needs scores of the language model."""
+        if stage == "sentence_scores":
+            return self.scores is None
+        return stage == "query_scores" and self.config.combinations != "none"
 
     @property
     def needs_model(self) -> bool:
         """Whether any score has to come from the language model."""
-        return self.scores is None or self.config.combinations != "none"
+        return self.asks("sentence_scores") or self.asks("query_scores")
+
+    def value(self, read: str) -> Any:
+        """What a stage reads under a name: a setting, or the content of an input file."""
+        match read:
+            case "objects.csv":
+                return self.labels.objects
+            case "rooms.csv":
+                return self.labels.rooms
+            case "counts":
+                return self.counts
+            case "scores":
+                return self.scores
+            case "asked":
+                return self.asked
+            case "smoothing" if self.config.smoothing is None:
+                return 1 / len(self.labels.rooms)
+        return getattr(self.config, read)
+
+    def recorded(self, read: str) -> Any:
+        """The same for a record: a setting by value, an input file by hash."""
+        value = self.value(read)
+        if isinstance(value, PairValues | Asked):
+            return value.recorded()
+        if read in INPUTS and value is not None:
+            rows = json.dumps([astuple(label) for label in value])
+            return hashlib.sha256(rows.encode()).hexdigest()
+        if isinstance(value, tuple):
+            return list(value)
+        return str(value) if isinstance(value, Path) else value
 
 
-def _rooms(combinations: str) -> Sequence[Sequence[str]] | None:
-    if combinations in {"all", "none", "misses"}:
-        return None
-    return sorted(
-        {tuple(sorted(set(room.objects))) for room in read_room_lines(Path(combinations))}
-    )
+class LazyScorer:
+    """A scorer that costs nothing until a sentence is missing from the cache."""
 
+    def __init__(self, config: BuildConfig, given: Scorer | None = None) -> None:
+        self._config = config
+        self._scorer = given
+        self._scorer_id = given.scorer_id if given else None
 
-log = logging.getLogger(__name__)
+    @property
+    def scorer_id(self) -> str:
+        """The identity, from the files of the model alone."""
+        if self._scorer_id is None:
+            from roomtables.lm import identify
 
-Pair = tuple[str, str]
+            self._scorer_id = identify(self._config.model, **self._settings())
+        return self._scorer_id
+
+    def load(self, progress: bool = False) -> Scorer:
+        """The scorer itself; with ``progress`` one loaded here shows its own progress bar.
+
+        Raises
+        ------
+        ModelError, MissingExtraError
+            The model cannot be loaded, or torch is not installed.
+        """
+        if self._scorer is None:
+            from roomtables.lm import load_scorer
+
+            self._scorer = load_scorer(
+                self._config.model,
+                token_budget=self._config.token_budget,
+                progress=progress,
+                **self._settings(),
+            )
+        return self._scorer
+
+    def describe(self) -> Mapping[str, str]:
+        """Provenance, where the model was loaded at all."""
+        return dict(self._scorer.describe()) if self._scorer else {}
+
+    def _settings(self) -> dict[str, Any]:
+        names = ("revision", "dtype", "device", "scoring")
+        return {name: getattr(self._config, name) for name in names}
 
 
 @dataclass(frozen=True)
@@ -97,8 +160,8 @@ class PairValues:
 
     values: Mapping[Pair, float]
 
-    @property
-    def fingerprint(self) -> str:
+    def recorded(self) -> str:
+        """The numbers, hashed: for the record of a build's inputs."""
         rows = json.dumps(sorted((*pair, value) for pair, value in self.values.items()))
         return hashlib.sha256(rows.encode()).hexdigest()
 
@@ -210,48 +273,3 @@ def _count(text: str, column: str, where: str) -> float:
     if value < 0:
         raise InputError(f"{where}: `{column}` must be 0 or more, not {text!r}")
     return value
-
-
-class LazyScorer:
-    """A scorer that costs nothing until a sentence is missing from the cache."""
-
-    def __init__(self, config: BuildConfig, given: Scorer | None = None) -> None:
-        self._config = config
-        self._scorer = given
-        self._scorer_id = given.scorer_id if given else None
-
-    @property
-    def scorer_id(self) -> str:
-        """The identity, from the files of the model alone."""
-        if self._scorer_id is None:
-            from roomtables.lm import identify
-
-            self._scorer_id = identify(self._config.model, **self._settings())
-        return self._scorer_id
-
-    def load(self, progress: bool = False) -> Scorer:
-        """The scorer itself; with ``progress`` one loaded here shows its own progress bar.
-
-        Raises
-        ------
-        ModelError, MissingExtraError
-            The model cannot be loaded, or torch is not installed.
-        """
-        if self._scorer is None:
-            from roomtables.lm import load_scorer
-
-            self._scorer = load_scorer(
-                self._config.model,
-                token_budget=self._config.token_budget,
-                progress=progress,
-                **self._settings(),
-            )
-        return self._scorer
-
-    def describe(self) -> Mapping[str, str]:
-        """Provenance, where the model was loaded at all."""
-        return dict(self._scorer.describe()) if self._scorer else {}
-
-    def _settings(self) -> dict[str, Any]:
-        names = ("revision", "dtype", "device", "scoring")
-        return {name: getattr(self._config, name) for name in names}

@@ -8,11 +8,10 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import duckdb
-
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
 from roomtables.offline.inputs import LazyScorer
+from roomtables.offline.workspace import Workspace, WorkTable
 from roomtables.scorer import Scorer, SentenceScore
 from roomtables.storage.score_cache import SentenceCache
 
@@ -24,9 +23,10 @@ _FETCH = 4096
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be scored: table ``todo`` of a connection, ``total`` sentences, into a cache."""
+    """What is to be scored: the distinct sentences of a table, sorted, into a cache."""
 
-    connection: duckdb.DuckDBPyConnection
+    workspace: Workspace
+    missing: WorkTable
     cache: SentenceCache
     model: LazyScorer
     config: BuildConfig
@@ -34,9 +34,9 @@ class Work:
     progress: bool = False
 
     def sentences(self) -> Iterator[str]:
-        """The sentences of ``todo``, sorted, lazily, on a cursor of their own."""
-        cursor = self.connection.cursor()
-        cursor.execute("select sentence from todo order by sentence")
+        """The sentences, sorted, lazily, on a cursor of their own."""
+        cursor = self.workspace.connection.cursor()
+        cursor.execute(f"select sentence from {self.missing} order by sentence")
         while rows := cursor.fetchmany(_FETCH):
             for (sentence,) in rows:
                 yield sentence
@@ -60,22 +60,20 @@ class Scored:
         )
 
 
-def missing_sentences(
-    connection: duckdb.DuckDBPyConnection, cache: SentenceCache, needed: str
-) -> int:
-    """Make table ``todo``: the distinct sentences of ``needed`` that the cache lacks, sorted.
+def missing_sentences(workspace: Workspace, needed: WorkTable, cache: SentenceCache) -> WorkTable:
+    """Of the distinct sentences of a table, those that the cache lacks.
 
-    Sorted text is what a token trie likes best. Returns how many there are.
+    They are sorted: neighbours then share the most tokens.
     """
-    connection.execute(
-        f"create or replace table todo as select sentence from {needed} "
-        f"anti join (select sentence from ({cache.select()})) using (sentence) order by sentence"
+    held = f"select sentence from ({cache.select()})"
+    return workspace.table(
+        f"missing_{needed.name}",
+        f"select sentence from {needed} anti join ({held}) using (sentence) order by sentence",
     )
-    return int(connection.execute("select count(*) from todo").fetchall()[0][0])
 
 
 def score_locally(work: Work) -> Scored:
-    """Score table ``todo`` in this process and append to the cache as parts.
+    """Score what is missing in this process and append to the cache as parts.
 
     Raises
     ------

@@ -1,291 +1,184 @@
-"""SQL stages: each ``pipeline/<table>.sql`` is one SELECT that is the table of its name."""
+"""The stages of a build, as ``build.toml`` lists them: their order, and what each one reads.
+
+A stage is handed what the file says it reads (earlier stages, settings, input files) and nothing
+else; the same list decides what makes its table stale.
+"""
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from itertools import islice
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
-import duckdb
-import numpy as np
-import pyarrow as pa
+from roomtables.config import BuildConfig, default_stages, pipeline_folder
+from roomtables.errors import ConfigError
+from roomtables.offline.inputs import INPUTS, Inputs
+from roomtables.storage.manifest import FileFacts
+from roomtables.storage.score_cache import SentenceCache
+from roomtables.storage.versions import LOOKUP, Version
 
-from roomtables.config import pipeline_folder
-from roomtables.errors import StoreError
-from roomtables.labels import LabelSpace
-from roomtables.offline.combinations import (
-    Ranks,
-    all_combinations,
-    combinations_of_rooms,
-    query_frames,
-)
-from roomtables.offline.inputs import Inputs, PairValues
-from roomtables.schemas import TABLE_BY_NAME
-from roomtables.sentences import Template
-from roomtables.storage.files import writing
-from roomtables.storage.lookup import pack_keys
-from roomtables.storage.score_cache import NO_SCORES, quote
-
-_SHOWN_ROWS = 3
-# Of a large machine; half the memory of a small one. docs/scale.md has what it is enough for.
-_MEMORY_BYTES = 4 << 30
+SENTENCE_SCORES, QUERIES, QUERY_SCORES = "sentence_scores", "queries", "query_scores"
+STAGES = (
+    "objects", "rooms", "names", SENTENCE_SCORES, "cooccurrence", "entropy", "room_bias", QUERIES,
+    QUERY_SCORES, LOOKUP,
+)  # fmt: skip
+# The stages that ask the language model.
+ASKING = (SENTENCE_SCORES, QUERY_SCORES)
 
 
-def stage_sql(table: str) -> str:
-    """The SELECT of a stage."""
-    return (pipeline_folder() / f"{table}.sql").read_text(encoding="utf-8")
+class Stage(NamedTuple):
+    """A stage: the table that it makes, and what it reads for that."""
+
+    name: str
+    reads: tuple[str, ...]
 
 
-def connect(workspace: Path) -> duckdb.DuckDBPyConnection:
-    """A DuckDB database in a file of its own, so that big joins spill to disk."""
-    connection = duckdb.connect(str(workspace / "work.duckdb"))
-    connection.execute(f"set temp_directory = {quote(workspace / 'spill')}")
-    connection.execute(f"set memory_limit = '{_memory_limit() >> 20} MiB'")
-    # Before anything is scored, no sentence has a score.
-    connection.execute(f"create view sentence_scores as {NO_SCORES}")
-    return connection
-
-
-def _memory_limit() -> int:
-    """Bytes that DuckDB may use before it spills to disk."""
-    physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return min(_MEMORY_BYTES, physical // 2)
-
-
-@contextmanager
-def interruptible(folder: Path) -> Iterator[None]:
-    """Turn what DuckDB and the file system say into this package's words.
+def listed_stages(config: BuildConfig) -> tuple[Stage, ...]:
+    """The stages in the order of the settings, or of the package's ``build.toml``.
 
     Raises
     ------
-    StoreError
-        The disk is full, or a file cannot be written or read.
-    KeyboardInterrupt
-        A query was interrupted.
+    ConfigError
+        A stage is unknown or missing, or reads what is neither a stage before it, a setting, nor
+        an input file.
     """
-    try:
-        with writing(folder):
-            yield
-    except duckdb.InterruptException as error:
-        raise KeyboardInterrupt from error
-    except (duckdb.IOException, duckdb.OutOfMemoryException, duckdb.FatalException) as error:
-        text = str(error).strip().splitlines()[0]
-        raise StoreError(
-            f"cannot build in {folder}: {text}; free some space or memory, then run "
-            "`roomtables build` again: what is scored is kept"
-        ) from error
-
-
-def load_labels_tables(connection: duckdb.DuckDBPyConnection, labels: LabelSpace) -> None:
-    """Tables ``objects`` and ``rooms``."""
-    _create(connection, "objects")
-    connection.executemany(
-        "insert into objects values (?, ?, ?)",
-        [(number, o.label, o.plural) for number, o in enumerate(labels.objects)],
-    )
-    _create(connection, "rooms")
-    connection.executemany(
-        "insert into rooms values (?, ?, ?, ?)",
-        [(number, r.label, r.article, r.predicted) for number, r in enumerate(labels.rooms)],
-    )
-
-
-def load_pairs(
-    connection: duckdb.DuckDBPyConnection, table: str, column: str, pairs: PairValues | None
-) -> None:
-    """A table of one number per object and room; empty where there are no pairs."""
-    connection.execute(f"create table {table} (object varchar, room varchar, {column} double)")
-    if pairs is not None:
-        rows = [(*pair, value) for pair, value in sorted(pairs.values.items())]
-        connection.executemany(f"insert into {table} values (?, ?, ?)", rows)
-
-
-def load_parameters(
-    connection: duckdb.DuckDBPyConnection, parameters: Mapping[str, object]
-) -> None:
-    """The one-row table ``parameters`` that SQL stages read their settings from."""
-    columns = ", ".join(f"? as {name}" for name in parameters)
-    connection.execute(f"create table parameters as select {columns}", list(parameters.values()))
-
-
-def run_stage(connection: duckdb.DuckDBPyConnection, table: str) -> None:
-    """Make a table from its SELECT, a published one with its schema's types."""
-    published = TABLE_BY_NAME.get(table)
-    columns = "*"
-    if published:
-        columns = ", ".join(f"{c.name}::{c.type} as {c.name}" for c in published.columns)
-    connection.execute(f"create table {table} as select {columns} from (\n{stage_sql(table)}\n)")
-
-
-def run_checks(connection: duckdb.DuckDBPyConnection) -> None:
-    """Run every ``pipeline/checks/*.sql``; each must return no row.
-
-    Raises
-    ------
-    StoreError
-        A check returned rows; the message names the check and shows the first of them.
-    """
-    for path in sorted((pipeline_folder() / "checks").glob("*.sql")):
-        rows = connection.execute(path.read_text(encoding="utf-8")).fetchmany(_SHOWN_ROWS)
-        if rows:
-            raise StoreError(
-                f"check {path.stem} failed, so nothing is published; rows: "
-                f"{'; '.join(map(str, rows))}; run `roomtables build --full-refresh`"
+    listed = config.stages or default_stages()
+    stages = tuple(Stage(name, reads) for name, reads in listed.items())
+    for name in STAGES:
+        if name not in listed:
+            raise ConfigError(f"build.toml: stage `{name}` is missing from `[stages]`; add it")
+    for place, stage in enumerate(stages):
+        if stage.name not in STAGES:
+            raise ConfigError(
+                f"build.toml: there is no stage `{stage.name}`; the stages are {', '.join(STAGES)}"
             )
+        before = {earlier.name for earlier in stages[:place]}
+        for read in stage.reads:
+            if read not in before | INPUTS | BuildConfig.recorded_names():
+                raise ConfigError(
+                    f"build.toml: stage `{stage.name}` reads `{read}`, which is no stage before "
+                    "it, no setting and no input file"
+                )
+    return stages
 
 
-def export(connection: duckdb.DuckDBPyConnection, table: str, folder: Path) -> int:
-    """Write a table to ``<table>.parquet``, in its own order; returns its number of rows."""
-    connection.execute(
-        f"copy {table} to {quote(folder / f'{table}.parquet')} "
-        "(format parquet, compression zstd, row_group_size 16384)"
-    )
-    rows = connection.execute(f"select count(*) from {table}").fetchall()
-    return int(rows[0][0])
+def stage_sql(stage: str) -> str | None:
+    """The SELECT that is a stage's table; ``None`` for a stage that Python makes."""
+    path = pipeline_folder() / f"{stage}.sql"
+    return path.read_text(encoding="utf-8") if path.is_file() else None
 
 
-def remove_workspace(folder: Path) -> None:
-    """Remove what :func:`connect` put into the folder."""
-    for path in folder.glob("work.duckdb*"):
-        path.unlink()
-    shutil.rmtree(folder / "spill", ignore_errors=True)
+def recorded_reads(
+    stages: tuple[Stage, ...], inputs: Inputs, scorer_id: str | None
+) -> dict[str, dict[str, Any]]:
+    """What each stage reads, as a manifest records it.
 
-
-def _create(connection: duckdb.DuckDBPyConnection, table: str) -> None:
-    columns = ", ".join(f"{c.name} {c.type}" for c in TABLE_BY_NAME[table].columns)
-    connection.execute(f"create table {table} ({columns})")
-
-
-SINGLES = "select sentence from single_sentences"
-QUERIES = "select sentence from queries anti join single_sentences using (sentence)"
-
-
-def prepare(connection: duckdb.DuckDBPyConnection, inputs: Inputs) -> None:
-    """All tables that need no score: labels, counts, imported scores, single-object sentences."""
-    load_labels_tables(connection, inputs.labels)
-    load_pairs(connection, "counts", "count", inputs.counts)
-    load_parameters(
-        connection, {"reduction": inputs.config.reduction, "smoothing": inputs.smoothing}
-    )
-    create_tables(connection, inputs.labels)
-    if inputs.scores is None:
-        load_single_sentences(connection, inputs.labels, inputs.template)
-    else:
-        load_pairs(connection, "single_scores", "score", inputs.scores)
-
-
-def derive(connection: duckdb.DuckDBPyConnection, inputs: Inputs) -> None:
-    """From scores of single-object sentences to the combinations that get a query sentence."""
-    if inputs.scores is None:
-        run_stage(connection, "single_scores")
-    for table in ("cooccurrence", "entropy", "room_bias"):
-        run_stage(connection, table)
-    if inputs.config.combinations != "none":
-        load_queries(connection, inputs)
-
-
-def need(connection: duckdb.DuckDBPyConnection, sentences: str) -> int:
-    """Table ``needed``: the distinct sentences of a SELECT. Returns how many there are."""
-    connection.execute(
-        f"create or replace temp table needed as select distinct * from ({sentences})"
-    )
-    return count(connection, "needed")
-
-
-def count(connection: duckdb.DuckDBPyConnection, table: str) -> int:
-    """Rows of a table."""
-    return int(connection.execute(f"select count(*) from {table}").fetchall()[0][0])
-
-
-_CHUNK = 65_536  # combinations that are held as Python objects at once
-
-
-def load_single_sentences(
-    connection: duckdb.DuckDBPyConnection, labels: LabelSpace, template: Template
-) -> None:
-    """Table ``single_sentences``: one row per object and room, predicted or not."""
-    rows = [
-        (o.label, room.label, sentence)
-        for o in labels.objects
-        for room, sentence in zip(labels.rooms, template.compose([o], labels.rooms), strict=True)
-    ]
-    connection.executemany("insert into single_sentences values (?, ?, ?)", rows)
-
-
-def create_tables(connection: duckdb.DuckDBPyConnection, labels: LabelSpace) -> None:
-    """Empty tables ``single_sentences`` and ``combinations``, and the view ``queries``.
-
-    A query sentence is put together when it is read: 1.35 million combinations and 23 rooms are
-    31 million sentences, too many to hold.
+    Settings by value, input files by hash, the model by its scorer id, earlier stages by the hash
+    of their own record, and the stage's SQL by its hash, under the name of its file. A table is up
+    to date when this is what the published manifest holds.
     """
-    connection.execute(
-        "create table single_sentences (object varchar, room varchar, sentence varchar)"
-    )
-    connection.execute(
-        "create table combinations (source varchar, key ubigint, objects varchar[], "
-        "before_room varchar, after_room varchar)"
-    )
-    connection.execute("create table room_phrases (position integer, phrase varchar)")
-    connection.executemany(
-        "insert into room_phrases values (?, ?)",
-        [(position, room.phrase) for position, room in enumerate(labels.predicted_rooms)],
-    )
-    connection.execute(
-        "create view queries as select source, key, position as room_position, "
-        "before_room || phrase || after_room as sentence from combinations cross join room_phrases"
-    )
+    found: dict[str, dict[str, Any]] = {}
+    for stage in stages:
+        reads = {read: _recorded(stage, read, found, inputs, scorer_id) for read in stage.reads}
+        sql = stage_sql(stage.name)
+        if sql is not None:
+            reads[f"{stage.name}.sql"] = _hash(sql)
+        found[stage.name] = reads
+    return found
 
 
-def load_queries(connection: duckdb.DuckDBPyConnection, inputs: Inputs) -> None:
-    """Table ``combinations``: one row per source and combination of objects."""
-    sources = connection.execute("select distinct source from entropy order by source").fetchall()
-    for (source,) in sources:
-        ordered = connection.execute(
-            "select object from entropy where source = ? order by rank", [source]
-        ).fetchall()
-        by_rank = [label for (label,) in ordered]
-        ranks = _combinations(inputs, source, by_rank)
-        _load_source(connection, inputs, source, by_rank, ranks)
+def fingerprint(recorded: Mapping[str, Mapping[str, Any]]) -> str:
+    """One hash over all stages: what names a version."""
+    return _hash(recorded)
 
 
-def _combinations(inputs: Inputs, source: str, by_rank: list[str]) -> Ranks:
-    """The combinations that the settings ask for, ``[n, k]``, as ranks of the source."""
-    k = inputs.config.k
-    if inputs.config.combinations == "all":
-        return all_combinations(len(by_rank), k)
-    rank_of = {label: rank for rank, label in enumerate(by_rank, start=1)}
-    in_label_order = [rank_of[label.label] for label in inputs.labels.objects]
-    asked = inputs.asked.ranked(source, in_label_order, k)
-    if inputs.rooms is None:
-        needed = asked
-    else:
-        rooms = combinations_of_rooms(inputs.rooms, inputs.labels, rank_of, k)
-        needed = np.concatenate([rooms, asked])
-    _, first = np.unique(pack_keys(needed, k), return_index=True)
-    return needed[first]
+CACHED, MISSING, STALE = "cached", "missing", "stale"
 
 
-def _load_source(
-    connection: duckdb.DuckDBPyConnection,
+@dataclass(frozen=True)
+class StageState:
+    """A stage's state before a build.
+
+    ``why`` is ``model``, ``code`` or ``input`` (what changed), ``refresh`` (asked for), ``damaged``
+    or ``removed`` (a file), or ``not built``; empty where the stage is cached.
+    """
+
+    stage: str
+    state: str
+    why: str = ""
+    sentences: int = 0
+
+
+def decide(
+    recorded: Mapping[str, Mapping[str, Any]],
+    published: Version | None,
+    cache: SentenceCache | None,
+    full_refresh: bool,
+) -> list[StageState]:
+    """The state of every stage; a build makes all tables unless every stage is cached.
+
+    ``recorded`` is what each stage reads now; ``cache`` is ``None`` where no model is asked.
+    """
+    if full_refresh:
+        return [StageState(stage, STALE, "refresh") for stage in recorded]
+    if published is None:
+        return [StageState(stage, MISSING, "not built") for stage in recorded]
+    damaged = _damaged(published)
+    kept = cache is None or cache.holds(published.manifest.score_parts)
+    found: dict[str, StageState] = {}
+    for stage, reads in recorded.items():
+        why = _changed(reads, published.manifest.stages.get(stage, {}), found)
+        if why:
+            found[stage] = StageState(stage, STALE, why)
+        elif stage in damaged or (stage in ASKING and not kept):
+            found[stage] = StageState(stage, MISSING, damaged.get(stage, "removed"))
+        else:
+            found[stage] = StageState(stage, CACHED)
+    return list(found.values())
+
+
+def _changed(
+    now: Mapping[str, Any], before: Mapping[str, Any], states: Mapping[str, StageState]
+) -> str:
+    """Why what a stage reads is not what it read before; empty where it is."""
+    for read in [*now, *before]:
+        if now.get(read) == before.get(read) and read in now and read in before:
+            continue
+        if read in states and states[read].state == STALE:
+            return states[read].why
+        return "model" if read == "model" else "code" if read.endswith(".sql") else "input"
+    return ""
+
+
+def _damaged(version: Version) -> dict[str, str]:
+    """Stages whose published files are not as noted, and how."""
+    found = {}
+    for name, noted in version.manifest.files.items():
+        path = version.path / name
+        stage = LOOKUP if name.startswith(f"{LOOKUP}/") else Path(name).stem
+        if not path.is_file():
+            found[stage] = "removed"
+        elif FileFacts.of(path) != noted:
+            found[stage] = "damaged"
+    return found
+
+
+def _recorded(
+    stage: Stage,
+    read: str,
+    before: Mapping[str, Mapping[str, Any]],
     inputs: Inputs,
-    source: str,
-    by_rank: list[str],
-    ranks: Ranks,
-) -> None:
-    frames = query_frames(ranks, by_rank, inputs.labels, inputs.template)
-    keyed = zip(pack_keys(ranks, inputs.config.k).tolist(), frames, strict=True)
-    while chunk := list(islice(keyed, _CHUNK)):
-        batch = pa.table(
-            {
-                "key": pa.array([key for key, _ in chunk], pa.uint64()),
-                "objects": [objects for _, (objects, _, _) in chunk],
-                "before_room": [before for _, (_, before, _) in chunk],
-                "after_room": [after for _, (_, _, after) in chunk],
-            }
-        )
-        connection.register("batch", batch)
-        connection.execute("insert into combinations select ?, * from batch", [source])
-        connection.unregister("batch")
+    scorer_id: str | None,
+) -> Any:
+    if read in before:
+        return _hash(before[read])
+    if read == "model":
+        return scorer_id if inputs.asks(stage.name) else None
+    return inputs.recorded(read)
+
+
+def _hash(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]

@@ -94,7 +94,6 @@ class ScoreRows:
     def __init__(self, arrays: SourceArrays, k: int, columns: NDArray[np.intp] | None) -> None:
         self._keys = arrays.keys
         self._scores = arrays.scores
-        self._maxima = arrays.maxima
         self._columns = columns
         self._k = k
         self._shifts = tuple(key_bits(k) * (k - 1 - place) for place in range(k))
@@ -139,15 +138,11 @@ class ScoreRows:
     def scores(self, row: int) -> NDArray[np.floating]:
         """S over the candidates, ``[candidates]``, nats."""
         scores: NDArray[np.floating] = self._scores[row]
-        if self._maxima is not None:
-            scores = scores.astype(np.float64) + self._maxima[row]
         return scores if self._columns is None else scores[self._columns]
 
     def scores_many(self, rows: NDArray[np.int64]) -> NDArray[np.floating]:
         """S over the candidates, ``[n, candidates]``, nats."""
         scores: NDArray[np.floating] = self._scores[rows]
-        if self._maxima is not None:
-            scores = scores + self._maxima[rows, np.newaxis].astype(np.float64)
         return scores if self._columns is None else scores[:, self._columns]
 
 

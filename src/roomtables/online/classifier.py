@@ -27,6 +27,8 @@ from roomtables.storage.misses import FOLDER, MissLog
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 _BATCH = 1 << 13  # rooms worked on at once: their arrays fit the processor's cache
+# What a decision takes from the build's settings where nothing else is said.
+_SETTINGS = ("rule", "source", "prior_weight", "evidence_power")
 _ATTEMPTS = 20  # opens, while a build removes the version that CURRENT named a moment ago
 
 
@@ -95,7 +97,8 @@ class RoomTables:
         version, lookup = _open_published(space, verify)
         misses = MissLog(space.path / FOLDER) if note_misses else None
         model = QueryModel(version.manifest, scorer, allowed=not offline)
-        settings = dict(version.manifest["decision"])
+        built = version.manifest.settings
+        settings: dict[str, Any] = {name: getattr(built, name) for name in _SETTINGS}
         settings |= {name: value for name, value in decision.items() if value is not None}
         return cls(version, lookup, model, Decision(**settings), misses)
 
@@ -231,7 +234,7 @@ def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:
 
 def _open_version(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:
     version = space.current()
-    labels = version.manifest["labels"]
+    labels = version.manifest.labels
     if labels != space.labels:
         raise StoreError(
             f"{version.path} holds tables of label space {labels}, not {space.labels}; "

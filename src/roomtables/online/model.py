@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from roomtables.errors import MissingExtraError
 from roomtables.labels import ObjectLabel, RoomLabel
 from roomtables.scorer import Scorer
 from roomtables.sentences import Template
+from roomtables.storage.manifest import Manifest
 
 log = logging.getLogger(__name__)
 
@@ -22,25 +22,25 @@ class QueryModel:
     """Scores query sentences that no table holds; says so once where it cannot."""
 
     def __init__(
-        self, manifest: Mapping[str, Any], scorer: Scorer | None = None, allowed: bool = True
+        self, manifest: Manifest, scorer: Scorer | None = None, allowed: bool = True
     ) -> None:
         self._manifest = manifest
         self._scorer = scorer
         self._allowed = allowed
-        self._template = Template(manifest["template"])
-        self._reduction: str = manifest["reduction"]
+        self._template = Template(manifest.settings.template[0])
+        self._reduction: str = manifest.settings.reduction
         self._lock = threading.Lock()
         self._scoring = threading.Lock()  # a model answers one thread at a time
 
     @property
     def labels(self) -> str:
         """The name of the label space."""
-        return str(self._manifest["labels"])
+        return self._manifest.labels
 
     @property
     def extends_tables(self) -> bool:
         """Whether the model is the one whose scores the co-occurrence tables hold."""
-        return bool(self._manifest["scorer_id"] == self._manifest["query_scorer_id"])
+        return self._manifest.extends_tables
 
     def load(self) -> Scorer | None:
         """The scorer, or ``None`` where it is not allowed or not installed.
@@ -74,19 +74,24 @@ class QueryModel:
         ]
 
     def _load(self) -> Scorer | None:
-        settings = dict(self._manifest["model"])
-        settings.pop("described", None)
+        settings = self._manifest.settings
         try:
             from roomtables.lm import load_scorer
 
-            scorer = load_scorer(settings.pop("model"), device="auto", **settings)
+            scorer = load_scorer(
+                settings.model,
+                revision=settings.revision,
+                dtype=settings.dtype,
+                device="auto",
+                scoring=settings.scoring,
+            )
         except (ImportError, MissingExtraError):
             log.warning(
                 "no language model here, so what no table holds stays unanswered; "
                 "run `pip install 'roomtables[lm]'`, or pass --offline"
             )
             return None
-        expected = self._manifest["query_scorer_id"]
+        expected = self._manifest.query_scorer_id
         if expected not in {None, scorer.scorer_id}:
             log.warning(
                 "the tables were scored by %s, the model here is %s; run `roomtables build`",

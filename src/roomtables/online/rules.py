@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from roomtables.schemas import PROXY
+
 Array = NDArray[np.float64]
 
 
@@ -37,6 +39,14 @@ def room_bias(room_logits: Array) -> Array:
 def adjusted(room_logits: Array, bias: Array, prior_weight: float) -> Array:
     """L′ = log softmax of (L − λ b): what each object says of each room, ``[objects, rooms]``."""
     return log_softmax(log_softmax(room_logits) - prior_weight * bias)
+
+
+def effective_prior_weight(source: str, prior_weight: float) -> float:
+    """λ as it acts on evidence: 0 unless the source is a language model's proxy.
+
+    Counts have no taste in rooms to take away.
+    """
+    return prior_weight if source == PROXY else 0.0
 
 
 def evidence_weights(adjusted_scores: Array, evidence_power: float) -> Array:

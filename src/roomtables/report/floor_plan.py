@@ -1,6 +1,7 @@
 """A scene as a floor plan: a panel per storey, rooms as boxes, objects as dots with their labels.
 
-Needs matplotlib, of the extra ``report``. HTML holds its picture, so the file stands alone.
+HTML holds the picture and a table of the rooms, and refers to no other file. Needs matplotlib, of
+the extra ``report``.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from typing import Any
 from roomtables.errors import InputError, MissingExtraError
 from roomtables.labels import normalise
 from roomtables.scenes.scene import Box, Scene, SceneRoom
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 _SUFFIXES = (".html", ".png", ".svg")
-_RIGHT, _WRONG, _UNTOLD = "#1b7f3b", "#c0392b", "#4a6fa5"
-_STOREY = 1.5  # metres between two floors at least
+_RIGHT, _WRONG, _UNJUDGED = "#1b7f3b", "#c0392b", "#4a6fa5"
+_STOREY = 1.5  # metres between two storeys at least
 _MARGIN = 0.5  # metres around the objects of a room that has no box
 _MOST_LABELS = 400  # objects beyond this stay dots: their labels would cover one another
 
-Answers = Mapping[str, tuple[str, float]]
+Answers = Mapping[str, tuple[str, float]]  # by room id: a label, and its probability
 
 
 def needs_matplotlib(output: Path) -> None:
@@ -43,8 +44,27 @@ def needs_matplotlib(output: Path) -> None:
         raise MissingExtraError("drawing a floor plan", "report") from error
 
 
-def room_box(room: SceneRoom) -> Box | None:
-    """The room's own box, else one around its objects, in metres; None where nothing says."""
+def draw(scene: Scene, answers: Answers, output: Path) -> None:
+    """Draw a scene; the suffix of ``output`` says how.
+
+    Raises
+    ------
+    InputError
+        No room has a box, nor objects with positions.
+    """
+    rooms = {room.room_id: room for room in scene.rooms}
+    boxes = {key: box for key, room in rooms.items() if (box := _room_box(room)) is not None}
+    if not boxes:
+        raise InputError(f"{scene.name}: neither boxes nor positions to draw; give a scene graph")
+    kind = output.suffix.lower().lstrip(".")
+    picture = _picture(scene, rooms, boxes, answers, "png" if kind == "png" else "svg")
+    if kind == "html":
+        picture = _page(scene.name, list(rooms.values()), answers, picture.decode()).encode()
+    write_aside(output, picture)
+
+
+def _room_box(room: SceneRoom) -> Box | None:
+    """The room's own box, else one around its objects, in metres; None where it has neither."""
     if room.box is not None:
         return room.box
     points = [thing.position for thing in room.objects if thing.position is not None]
@@ -55,8 +75,8 @@ def room_box(room: SceneRoom) -> Box | None:
     return Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
-def storeys(boxes: Mapping[str, Box]) -> list[list[str]]:
-    """Rooms by storey, lowest first: a new one where floors lie ``1.5`` m or more apart."""
+def _storeys(boxes: Mapping[str, Box]) -> list[list[str]]:
+    """Rooms by storey, lowest first; one begins 1.5 m or more above the lowest room of the last."""
     levels: list[list[str]] = []
     floor = 0.0
     for key, box in sorted(boxes.items(), key=lambda item: (item[1].low[2], item[0])):
@@ -67,30 +87,11 @@ def storeys(boxes: Mapping[str, Box]) -> list[list[str]]:
     return levels
 
 
-def verdict(room: SceneRoom, answers: Answers) -> bool | None:
+def _is_right(room: SceneRoom, answers: Answers) -> bool | None:
     """Whether the answer is any of the true labels; None where either is missing."""
     if not room.truth or room.room_id not in answers:
         return None
     return normalise(answers[room.room_id][0]) in map(normalise, room.truth)
-
-
-def draw(scene: Scene, answers: Answers, output: Path) -> None:
-    """Draw a scene; the suffix of ``output`` says how.
-
-    Raises
-    ------
-    InputError
-        No room has a box, nor objects with positions.
-    """
-    rooms = {room.room_id: room for room in scene.rooms}
-    boxes = {key: box for key, room in rooms.items() if (box := room_box(room)) is not None}
-    if not boxes:
-        raise InputError(f"{scene.name}: neither boxes nor positions to draw; give a scene graph")
-    kind = output.suffix.lower().lstrip(".")
-    picture = _picture(scene, rooms, boxes, answers, "png" if kind == "png" else "svg")
-    if kind == "html":
-        picture = _page(scene.name, list(rooms.values()), answers, picture.decode()).encode()
-    write_aside(output, picture)
 
 
 def _picture(
@@ -103,7 +104,7 @@ def _picture(
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    levels = storeys(boxes)
+    levels = _storeys(boxes)
     total = sum(len(room.objects) for room in rooms.values())
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "roomtables", "svg.fonttype": "none"}):
@@ -125,7 +126,7 @@ def _picture(
 def _draw_room(panel: Any, room: SceneRoom, box: Box, answers: Answers, named: bool) -> None:
     from matplotlib.patches import Rectangle
 
-    colour = _colour(verdict(room, answers))
+    colour = _colour(_is_right(room, answers))
     (x, y, _), (right, top, _) = box.low, box.high
     panel.add_patch(Rectangle((x, y), right - x, top - y, fill=True, alpha=0.12, facecolor=colour))
     panel.add_patch(Rectangle((x, y), right - x, top - y, fill=False, edgecolor=colour, lw=1.5))
@@ -145,7 +146,7 @@ def _draw_room(panel: Any, room: SceneRoom, box: Box, answers: Answers, named: b
 
 
 def _colour(right: bool | None) -> str:
-    return _UNTOLD if right is None else _RIGHT if right else _WRONG
+    return _UNJUDGED if right is None else _RIGHT if right else _WRONG
 
 
 def _caption(room: SceneRoom, answers: Answers) -> str:
@@ -153,7 +154,7 @@ def _caption(room: SceneRoom, answers: Answers) -> str:
     if room.room_id not in answers:
         return f"{room.room_id}\n{truth or 'no answer'}"
     label, probability = answers[room.room_id]
-    wrong = f"\n(true: {truth})" if verdict(room, answers) is False else ""
+    wrong = f"\n(true: {truth})" if _is_right(room, answers) is False else ""
     return f"{room.room_id}\n{label} {probability:.0%}{wrong}"
 
 
@@ -185,6 +186,6 @@ def _row(room: SceneRoom, answers: Answers) -> str:
         " or ".join(room.truth),
         ", ".join(sorted(thing.name for thing in room.objects)),
     ]
-    colour = _colour(verdict(room, answers))
+    colour = _colour(_is_right(room, answers))
     inside = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
     return f'<tr style="color:{colour}">{inside}</tr>'

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 STYLE = """
-:root { color-scheme: light; --line: #d8dde3; --ink: #1c2733; --soft: #5b6b7b; }
+:root { color-scheme: light; --line: #d8dde3; --ink: #1c2733; }
 body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); margin: 0 auto; max-width: 1180px;
   padding: 0 24px 64px; }
 h1 { font-size: 28px; margin: 32px 0 4px; } h2 { font-size: 20px; margin: 40px 0 6px; }
-p { max-width: 78ch; margin: 6px 0 12px; } .soft { color: var(--soft); }
+p { max-width: 78ch; margin: 6px 0 12px; }
 nav a { margin-right: 14px; } a { color: #2257a8; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: 3px 8px; text-align: left; border-bottom: 1px solid var(--line);
@@ -48,8 +48,9 @@ def page(title: str, sections: Sequence[tuple[str, str, str]]) -> str:
     )
 
 
-def paragraph(text: str, soft: bool = False) -> str:
-    return f"<p{' class=soft' if soft else ''}>{escape(text)}</p>\n"
+def paragraph(text: str) -> str:
+    """A paragraph of escaped text."""
+    return f"<p>{escape(text)}</p>\n"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -81,7 +82,7 @@ def heat_map(
     """A table of shares from 0 to 1 as colours; both its heads stay in sight when it scrolls.
 
     With ``count`` the cells are whole numbers, coloured by their share of the row.
-    """  # fmt: skip
+    """
     heads = "".join(f"<th><span>{escape(name)}</span></th>" for name in columns)
     lines = []
     for name, values in rows:

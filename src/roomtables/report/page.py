@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.evaluation import Evaluation, evaluate
+from roomtables.evaluation.judging import room_list
 from roomtables.evaluation.statistics import area_under_risk, expected_calibration_error
 from roomtables.online.classifier import RoomTables
+from roomtables.online.decision import Decision
 from roomtables.report import html
 from roomtables.report.html import Bar
-from roomtables.rooms import Room, read_room_lines
+from roomtables.rooms import Room
 from roomtables.storage.views import connect, select
 
 _SHOWN = 15
@@ -39,27 +41,24 @@ def report(tables: RoomTables, rooms: Iterable[Room] | str | Path | None = None)
     finally:
         connection.close()
     if rooms is not None:
-        held = list(read_room_lines(Path(rooms)) if isinstance(rooms, str | Path) else rooms)
-        sections += _results(tables, held)
-    return html.page(f"roomtables: {tables.version.manifest['labels']}", sections)
+        sections += _results(tables, room_list(rooms))
+    return html.page(f"roomtables: {tables.version.manifest.labels}", sections)
 
 
 def _about(tables: RoomTables) -> Section:
     manifest = tables.version.manifest
-    decision, described = tables.decision, manifest["model"]["described"]
-    if not manifest["query_scorer_id"]:
-        described = {}
-    combinations = ", ".join(f"{n:,} for {name}" for name, n in manifest["combinations"].items())
+    decision, settings = tables.decision, manifest.settings
+    combinations = ", ".join(f"{n:,} for {name}" for name, n in manifest.combinations.items())
     rows: list[tuple[str, object]] = [
-        ("label space", manifest["labels"]),
-        ("version", f"{tables.version.name}, published {manifest['created']}"),
+        ("label space", manifest.labels),
+        ("version", f"{tables.version.name}, published {manifest.created.isoformat()}"),
         ("objects, rooms, predicted rooms",
-         f"{manifest['objects']}, {manifest['rooms']}, {manifest['predicted_rooms']}"),
-        ("scores from", manifest["scorer_id"]),
-        ("query sentences from", manifest["query_scorer_id"] or "no model"),
-        *((f"model: {key}", value) for key, value in sorted(described.items()) if value),
-        ("sentence", manifest["template"]),
-        ("reduction, k", f"{manifest['reduction']}, {manifest['k']}"),
+         f"{manifest.objects}, {manifest.rooms}, {manifest.predicted_rooms}"),
+        ("scores from", manifest.scorer_id),
+        ("query sentences from", manifest.query_scorer_id or "no model"),
+        *((f"model: {key}", value) for key, value in sorted(manifest.model.items()) if value),
+        ("sentence", " | ".join(settings.template)),
+        ("reduction, k", f"{settings.reduction}, {settings.k}"),
         ("combinations held", combinations or "none"),
         ("decision", _decision_text(decision)),
         *((f"installed: {name}", found) for name in _PACKAGES if (found := _installed(name))),
@@ -68,7 +67,7 @@ def _about(tables: RoomTables) -> Section:
     return "about", "What this is", html.table(("", ""), rows)
 
 
-def _decision_text(decision: Any) -> str:
+def _decision_text(decision: Decision) -> str:
     return (
         f"rule {decision.rule}, source {decision.source}, "
         f"λ {decision.prior_weight:g}, γ {decision.evidence_power:g}"

@@ -1,4 +1,8 @@
-"""Pictures of evaluations: the only module that draws with matplotlib, loaded when asked for."""
+"""Charts of evaluations and sweeps: accuracy per room, calibration, and the grid of settings.
+
+matplotlib, of the extra ``report``, is imported when a chart is drawn. Every ``…_figure`` function
+returns a ``matplotlib.figure.Figure``, and raises MissingExtraError where matplotlib is absent.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from roomtables.errors import InputError, MissingExtraError
 from roomtables.evaluation import Evaluation
 from roomtables.evaluation.comparison import Sweep, SweepPoint
 from roomtables.schemas import POOLED, PROXY
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 FORMATS = (".png", ".svg")
 _COLOURS = ("#4269d0", "#efb118", "#ff725c", "#6cc5b0", "#3ca951", "#ff8ab7", "#a463f2", "#97bbf5")
@@ -36,7 +40,7 @@ def check_plot(path: Path) -> None:
 
 
 def save(figure: Any, path: Path) -> None:
-    """Write a figure whole; its file name says the format."""
+    """Write a figure to a path whose suffix says the format: .png or .svg."""
     write_aside(path, rendered(figure, path.suffix.casefold().removeprefix(".")))
 
 
@@ -126,15 +130,15 @@ def _in_grid(point: SweepPoint) -> bool:
 
 
 def _draw_grid(axes: Any, points: Sequence[SweepPoint]) -> None:
-    first = [p for p in points if points and p.reduction == points[0].reduction]
-    weights = sorted({p.prior_weight or 0.0 for p in first})
-    powers = sorted({p.evidence_power or 0.0 for p in first})
+    """A cell per λ and γ, coloured and labelled by its accuracy in percent."""
+    weights = sorted({p.prior_weight or 0.0 for p in points})
+    powers = sorted({p.evidence_power or 0.0 for p in points})
     cells = np.full((len(powers), len(weights)), np.nan)
-    for p in first:
+    for p in points:
         row, column = powers.index(p.evidence_power or 0.0), weights.index(p.prior_weight or 0.0)
         cells[row, column] = 100 * p.accuracy
         axes.text(column, row, f"{100 * p.accuracy:.1f}", ha="center", va="center", fontsize=9)
-    if first:
+    if points:
         # Twice the best as the top of the scale keeps every cell light enough for black figures.
         highest = 2 * float(np.nanmax(cells))
         axes.imshow(cells, origin="lower", cmap="YlGn", aspect="auto", vmin=0, vmax=highest or 1)
@@ -145,20 +149,16 @@ def _draw_grid(axes: Any, points: Sequence[SweepPoint]) -> None:
 
 
 def _lines_over_k(points: Sequence[SweepPoint]) -> Iterator[tuple[str, list[SweepPoint]]]:
-    """One line per rule, source, λ and γ; of rule ``calibrated`` only its best λ."""
-    lines: dict[tuple[Any, ...], list[SweepPoint]] = {}
+    """A name and the points over k for each rule and source, at the λ best at the largest k."""
+    lines: dict[tuple[str, str], dict[float | None, list[SweepPoint]]] = {}
     for p in points:
         if p.k is not None:
-            key = (p.rule, p.source, p.reduction, p.prior_weight, p.evidence_power)
-            lines.setdefault(key, []).append(p)
-    best: dict[tuple[Any, ...], tuple[Any, ...]] = {}
-    for key, line in lines.items():
-        held = best.get(key[:3])
-        if held is None or line[-1].accuracy > lines[held][-1].accuracy:
-            best[key[:3]] = key
-    for key in best.values():
-        weight = "" if key[3] is None else f", λ {key[3]:g}"
-        yield f"{key[0]}, {key[1]}, {key[2]}{weight}", lines[key]
+            by_weight = lines.setdefault((p.rule, p.source), {})
+            by_weight.setdefault(p.prior_weight, []).append(p)
+    for (rule, source), by_weight in lines.items():
+        weight = max(by_weight, key=lambda weight: by_weight[weight][-1].accuracy)
+        shown = "" if weight is None else f", λ {weight:g}"
+        yield f"{rule}, {source}{shown}", by_weight[weight]
 
 
 def _figure(width: float, height: float) -> Any:

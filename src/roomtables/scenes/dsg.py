@@ -1,10 +1,14 @@
-"""A Spark-DSG graph as a scene: which names its labels have, and which rooms' labels are true."""
+"""A Spark-DSG graph as a scene, and names written into it.
+
+Reading decides which names the labels of objects have, and which rooms' labels are true. Writing
+names rooms in the graph's JSON and changes nothing else there.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from roomtables.errors import InputError
@@ -12,63 +16,30 @@ from roomtables.scenes.dsg_graph import Graph, node_box, node_point, parse_graph
 from roomtables.scenes.hydra import load_label_names
 from roomtables.scenes.matterport_labels import ROOM_NAMES
 from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, report_unassigned
+from roomtables.scenes.scene_file import SceneFile
 
-UNSET = frozenset({-1, 2**32 - 1})
-NO_NAME = frozenset({"", "unknown", "unlabeled", "unlabelled", "void", "none", "unset"})
+# Values of ``semantic_label`` that say nothing: −1, also where it is stored without a sign.
+_UNSET = frozenset({-1, 2**32 - 1})
+# What Hydra's room finder writes for every room: today, and in older files.
+_UNLABELLED_ROOM = frozenset({0, 21})
+_NO_NAME = frozenset({"", "unknown", "unlabeled", "unlabelled", "void", "none", "unset"})
 
 
-def object_names(graph: Graph, options: ReadOptions) -> tuple[dict[int, str], str]:
-    """The label space of the graph's objects, and where it came from.
+def is_dsg(file: SceneFile) -> bool:
+    """Whether a file is the JSON of a Spark-DSG graph."""
+    return isinstance(file.document, dict) and "nodes" in file.document
 
-    The YAML given, else the objects' own in the graph, else the mesh's.
+
+def read_dsg(file: SceneFile, options: ReadOptions) -> Scene:
+    """One scene from the JSON of a Spark-DSG graph.
 
     Raises
     ------
     InputError
-        There is none, or an object's label is not in the YAML given.
+        The graph is malformed (see `parse_graph`), or has no names for its labels (see
+        `graph_scene`).
     """
-    if options.labelspace is not None:
-        return load_label_names(options.labelspace), str(options.labelspace)
-    own = f"_l{graph.object_layer}p0"
-    for key in (own, "mesh"):
-        if key in graph.label_spaces:
-            return graph.label_spaces[key], f"label space {key}"
-    raise InputError(
-        f"{graph.source}: no label space names its objects' labels; give the one that the graph "
-        "was made with: `--labelspace FILE.yaml` (Hydra's config/label_spaces)"
-    )
-
-
-def truth_of(graph: Graph, room: int) -> tuple[str, ...]:
-    """The room's true labels where the graph tells them; what roomtables wrote is no truth.
-
-    Without a room label space, letters as Matterport's ground truth writes them (97 is ``a``, a
-    bathroom) count, provided that every labelled room of the graph holds one.
-    """
-    attributes = graph.attributes(room)
-    if "rule" in _provenance(attributes):
-        return ()
-    label = attributes.get("semantic_label")
-    names = graph.label_spaces.get(f"_l{graph.room_layer}p0") or _letters(graph)
-    if not isinstance(label, int) or label in UNSET:
-        return ()
-    parts = (part.strip() for part in names.get(label, "").split(";"))
-    return tuple(part for part in parts if part.lower() not in NO_NAME)
-
-
-def _provenance(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
-    match attributes.get("metadata"):
-        case {"roomtables": dict() as found}:
-            return found
-        case _:
-            return {}
-
-
-def _letters(graph: Graph) -> dict[int, str]:
-    letters = {ord(letter): name for letter, name in ROOM_NAMES.items()}
-    labels = [graph.attributes(room).get("semantic_label") for room in graph.rooms]
-    known = {label for label in labels if isinstance(label, int)} - UNSET - {0, 21}
-    return letters if known <= letters.keys() else {}
+    return graph_scene(parse_graph(file.document, str(file.path)), file.path.stem, options)
 
 
 def graph_scene(graph: Graph, name: str, options: ReadOptions) -> Scene:
@@ -80,7 +51,7 @@ def graph_scene(graph: Graph, name: str, options: ReadOptions) -> Scene:
         No label space names the objects, a label is not in the YAML given, or a box or position is
         NaN.
     """
-    names, origin = object_names(graph, options) if graph.objects else ({}, "")
+    names, origin = _object_names(graph, options) if graph.objects else ({}, "")
     things = _objects(graph, names, origin, options)
     rooms = set(graph.rooms)
     owner = rooms_of(
@@ -98,6 +69,23 @@ def graph_scene(graph: Graph, name: str, options: ReadOptions) -> Scene:
     return scene
 
 
+def _object_names(graph: Graph, options: ReadOptions) -> tuple[dict[int, str], str]:
+    """The label space of the graph's objects, and where it came from.
+
+    The YAML given, else the objects' own in the graph, else the mesh's.
+    """
+    if options.labelspace is not None:
+        return load_label_names(options.labelspace), str(options.labelspace)
+    own = f"_l{graph.object_layer}p0"
+    for key in (own, "mesh"):
+        if key in graph.label_spaces:
+            return graph.label_spaces[key], f"label space {key}"
+    raise InputError(
+        f"{graph.source}: no label space names its objects' labels; give the one that the graph "
+        "was made with: `--labelspace FILE.yaml` (Hydra's config/label_spaces)"
+    )
+
+
 def _objects(
     graph: Graph, names: Mapping[int, str], origin: str, options: ReadOptions
 ) -> dict[int, SceneObject]:
@@ -109,7 +97,7 @@ def _objects(
             where = f"{graph.source}, node {symbol(key)}"
             place = node_point(attributes, where), node_box(attributes, where)
             things[key] = SceneObject(symbol(key), names[label], *place)
-        elif options.labelspace is not None and isinstance(label, int) and label not in UNSET:
+        elif options.labelspace is not None and isinstance(label, int) and label not in _UNSET:
             raise InputError(
                 f"{graph.source}: {origin} does not name label {label} of object {symbol(key)}; "
                 "give the label space that the graph was made with"
@@ -125,16 +113,8 @@ def _objects(
     return things
 
 
-def _room(graph: Graph, key: int, objects: tuple[SceneObject, ...]) -> SceneRoom:
-    attributes = graph.attributes(key)
-    box = node_box(attributes, f"{graph.source}, node {symbol(key)}")
-    name = attributes.get("name")
-    return SceneRoom(
-        symbol(key), objects, name if isinstance(name, str) else "", truth_of(graph, key), box
-    )
-
-
 def _distance(graph: Graph, child: int, parent: int) -> float:
+    """Metres between two nodes; infinite where one has no position."""
     ends = [
         node_point(graph.attributes(key), f"{graph.source}, node {symbol(key)}")
         for key in (child, parent)
@@ -144,6 +124,105 @@ def _distance(graph: Graph, child: int, parent: int) -> float:
     return math.dist(ends[0], ends[1])
 
 
-def dsg_scene(document: Mapping[str, Any], path: Path, options: ReadOptions) -> Scene:
-    """A scene from the decoded JSON of a Spark-DSG graph."""
-    return graph_scene(parse_graph(document, str(path)), path.stem, options)
+def _room(graph: Graph, key: int, objects: tuple[SceneObject, ...]) -> SceneRoom:
+    attributes = graph.attributes(key)
+    box = node_box(attributes, f"{graph.source}, node {symbol(key)}")
+    name = attributes.get("name")
+    return SceneRoom(
+        symbol(key), objects, name if isinstance(name, str) else "", _true_labels(graph, key), box
+    )
+
+
+def _true_labels(graph: Graph, room: int) -> tuple[str, ...]:
+    """The room's true labels where the graph tells them; what roomtables wrote is no truth.
+
+    Without a room label space, letters as Matterport's ground truth writes them (97 is ``a``, a
+    bathroom) count, provided that every labelled room of the graph holds one.
+    """
+    attributes = graph.attributes(room)
+    if "rule" in _provenance(attributes):
+        return ()
+    label = attributes.get("semantic_label")
+    names = graph.label_spaces.get(f"_l{graph.room_layer}p0") or _letters(graph)
+    if not isinstance(label, int) or label in _UNSET:
+        return ()
+    parts = (part.strip() for part in names.get(label, "").split(";"))
+    return tuple(part for part in parts if part.lower() not in _NO_NAME)
+
+
+def _provenance(attributes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What roomtables noted when it named a room."""
+    match attributes.get("metadata"):
+        case {"roomtables": dict() as found}:
+            return found
+        case _:
+            return {}
+
+
+def _letters(graph: Graph) -> dict[int, str]:
+    """Matterport's room labels by the codes of their letters, if the rooms' labels are such."""
+    letters = {ord(letter): name for letter, name in ROOM_NAMES.items()}
+    labels = [graph.attributes(room).get("semantic_label") for room in graph.rooms]
+    known = {label for label in labels if isinstance(label, int)} - _UNSET - _UNLABELLED_ROOM
+    return letters if known <= letters.keys() else {}
+
+
+@dataclass(frozen=True, slots=True)
+class NamedRoom:
+    """A room's answer: its label, each candidate's probability, and where the answer came from."""
+
+    label: str
+    probabilities: Mapping[str, float]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def label_rooms(graph: Graph, named: Mapping[str, NamedRoom], labels: Iterable[str]) -> None:
+    """Write names into ``graph.document``; rooms without an answer keep what they have.
+
+    ``named`` goes by the rooms' symbols (``R0``); ``labels`` are all the rooms that could have been
+    the answer.
+    """
+    if not named:
+        return
+    space = f"_l{graph.room_layer}p0"
+    known = graph.label_spaces.get(space, {})
+    ids, pairs = room_label_space(known, {room.label for room in named.values()}, labels)
+    if len(pairs) > len(known):
+        _child(_child(graph.document, "metadata"), "labelspaces")[space] = pairs
+    for key in graph.rooms:
+        room = named.get(symbol(key))
+        if room is not None:
+            attributes = graph.attributes(key)
+            attributes["name"] = room.label
+            attributes["semantic_label"] = ids[room.label]
+            attributes["semantic_class_probabilities"] = dict(room.probabilities)
+            _child(attributes, "metadata")["roomtables"] = dict(room.provenance)
+
+
+def room_label_space(
+    known: Mapping[int, str], used: Iterable[str], labels: Iterable[str]
+) -> tuple[dict[str, int], list[list[Any]]]:
+    """An id for each room label, and the label space to write, as ``[id, name]`` pairs.
+
+    A graph's own room label space keeps its ids and gains the ``used`` labels that it lacks; where
+    it has none, all ``labels`` get ids from 1, and 0 is unknown, as Hydra numbers unlabelled rooms.
+    """
+    ids: dict[str, int] = {}
+    for number, name in known.items():
+        for part in name.split(";"):
+            ids.setdefault(part.strip(), number)
+    pairs: list[list[Any]] = [[number, name] for number, name in known.items()]
+    pairs = pairs or [[0, "unknown"]]
+    for label in sorted({*used} if known else {*used, *labels}):
+        if label not in ids:
+            ids[label] = max(number for number, _ in pairs) + 1
+            pairs.append([ids[label], label])
+    return ids, pairs
+
+
+def _child(value: dict[str, Any], key: str) -> dict[str, Any]:
+    """The dictionary under a key, made where there is none."""
+    if not isinstance(value.get(key), dict):
+        value[key] = {}
+    child: dict[str, Any] = value[key]
+    return child

@@ -1,7 +1,7 @@
-"""Spark-DSG scene graphs as JSON, of every generation: nodes, layers, parents, label spaces.
+"""The JSON of a Spark-DSG scene graph, of every generation: nodes, parents, label spaces, boxes.
 
-A plain reader, so that a graph needs no extra package. Layers decide which end of an edge is the
-parent, not the direction in which it was written; that way parents cannot run in a circle.
+Needs no package beside Python. Of an edge's two nodes, the one in the higher layer is the parent,
+whichever way the edge was written, so parents cannot run in a circle.
 """
 
 from __future__ import annotations
@@ -14,14 +14,20 @@ from typing import Any
 from roomtables.errors import InputError
 from roomtables.scenes.scene import Box, Point, are_finite, as_point
 
-OBJECT_TYPES = ("ObjectNodeAttributes", "KhronosObjectAttributes")
+_OBJECT_TYPES = ("ObjectNodeAttributes", "KhronosObjectAttributes")
 _DEFAULT_LAYERS = {"OBJECTS": 2, "ROOMS": 4}
+_INVALID_BOXES = ("INVALID", 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """A decoded graph: nodes by id, and each node's parents in higher layers."""
+    """A graph: nodes by id, and each node's parents in higher layers.
 
+    ``document`` is the decoded JSON that holds the very same nodes; ``source`` names its file in
+    error messages. ``objects`` and ``rooms`` are ids, ascending.
+    """
+
+    document: dict[str, Any]
     source: str
     nodes: dict[int, dict[str, Any]]
     parents: dict[int, list[int]]
@@ -37,14 +43,14 @@ class Graph:
         return found
 
 
-def parse_graph(document: Mapping[str, Any], source: str) -> Graph:
+def parse_graph(document: dict[str, Any], source: str) -> Graph:
     """A graph from decoded JSON.
 
     Raises
     ------
     InputError
-        A node or edge is malformed, an id does not fit 64 bits or occurs twice, or there is no
-        room to label.
+        A node, an edge or a label space is malformed, an id does not fit 64 bits or occurs twice,
+        an edge names a node that is not there, or the graph has no room.
     """
     layers = _layers(document)
     nodes = _nodes(document, source)
@@ -54,7 +60,7 @@ def parse_graph(document: Mapping[str, Any], source: str) -> Graph:
         key
         for key, node in nodes.items()
         if node["layer"] == layers["OBJECTS"]
-        and (kinds[key] in OBJECT_TYPES or (kinds[key] is None and symbol(key)[0] in "Oo"))
+        and (kinds[key] in _OBJECT_TYPES or (kinds[key] is None and symbol(key)[0] in "Oo"))
     ]
     if not rooms:
         raise InputError(
@@ -62,6 +68,7 @@ def parse_graph(document: Mapping[str, Any], source: str) -> Graph:
             "rooms (its backend's `rooms` update functor) and save the graph again"
         )
     return Graph(
+        document,
         source,
         nodes,
         _parents(document, nodes, source),
@@ -188,9 +195,6 @@ def _vote(
     best = max(votes.values())
     near = [(distance(child, parent), room) for room, parent in ways if votes[room] == best]
     return min(near)[1]
-
-
-_INVALID_BOXES = ("INVALID", 0)
 
 
 def symbol(node: int) -> str:

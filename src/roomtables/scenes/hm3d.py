@@ -11,11 +11,17 @@ from pathlib import Path
 
 from roomtables.errors import InputError
 from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, report_unassigned
+from roomtables.scenes.scene_file import SceneFile
 
-HEADER = "HM3D Semantic Annotations"
+_HEADER = "HM3D Semantic Annotations"
 
 
-def read_hm3d(path: Path, options: ReadOptions) -> Scene:
+def is_hm3d(file: SceneFile) -> bool:
+    """Whether a file has the header line of HM3D's annotations."""
+    return file.first_line == _HEADER
+
+
+def read_hm3d(file: SceneFile, options: ReadOptions) -> Scene:
     """One scene from an HM3D annotation file; rooms in order of region.
 
     Raises
@@ -23,29 +29,34 @@ def read_hm3d(path: Path, options: ReadOptions) -> Scene:
     InputError
         A line has other than four cells, or its id or region is not an integer.
     """
-    name = path.name.removesuffix(".txt").removesuffix(".semantic")
-    regions: dict[int, list[SceneObject]] = {}
-    total = 0
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.reader(file, skipinitialspace=True)
-        try:
-            next(file, None)
-            for row in rows:
-                if row:
-                    where = f"{path}, line {rows.line_num + 1}"
-                    region, thing = _annotation(row, where)
-                    regions.setdefault(region, []).append(thing)
-                    total += 1
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise InputError(f"{path}, line {rows.line_num + 2}: unreadable ({error})") from error
+    regions = _regions(file.path)
+    total = sum(map(len, regions.values()))
     unknown = [thing for region in sorted(regions) if region < 0 for thing in regions.pop(region)]
+    name = file.path.name.removesuffix(".txt").removesuffix(".semantic")
     rooms = [SceneRoom(f"{name}/{region}", tuple(regions[region])) for region in sorted(regions)]
     scene = Scene(name, rooms, tuple(unknown))
     report_unassigned(scene, total, options.warn)
     return scene
 
 
+def _regions(path: Path) -> dict[int, list[SceneObject]]:
+    """The objects of each region."""
+    regions: dict[int, list[SceneObject]] = {}
+    with path.open(encoding="utf-8-sig", newline="") as lines:
+        rows = csv.reader(lines, skipinitialspace=True)
+        try:
+            next(lines, None)  # the header, so line_num lags by one
+            for row in rows:
+                if row:
+                    region, thing = _annotation(row, f"{path}, line {rows.line_num + 1}")
+                    regions.setdefault(region, []).append(thing)
+        except (csv.Error, UnicodeDecodeError) as error:
+            raise InputError(f"{path}, line {rows.line_num + 2}: unreadable ({error})") from error
+    return regions
+
+
 def _annotation(row: list[str], where: str) -> tuple[int, SceneObject]:
+    """A line's region and object."""
     if len(row) < 4:
         raise InputError(f'{where}: expected id,colour,"category",region')
     category = ",".join(row[2:-1]).strip().strip('"')  # an unquoted category may hold commas

@@ -1,4 +1,4 @@
-"""HOV-SG folders: ``rooms/<id>.json`` lists object ids, ``objects/<id>.json`` names them.
+"""HOV-SG folders: ``rooms/<id>.json`` lists object ids, ``objects/<id>.json`` names an object.
 
 HOV-SG names rooms itself, by CLIP or a language model; that name is a prediction, so it is read as
 the room's name and never as the truth.
@@ -12,17 +12,15 @@ from typing import Any
 
 from roomtables.errors import InputError
 from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, report_unassigned
+from roomtables.scenes.scene_file import SceneFile
 
 
-def hovsg_root(folder: Path) -> Path | None:
-    """The folder that holds ``rooms/*.json``, this one or its ``graph``; None without one."""
-    for root in (folder, folder / "graph"):
-        if any((root / "rooms").glob("*.json")):
-            return root
-    return None
+def is_hovsg(file: SceneFile) -> bool:
+    """Whether a folder holds an HOV-SG graph."""
+    return file.is_folder and _root(file.path) is not None
 
 
-def read_hovsg(folder: Path, options: ReadOptions) -> Scene:
+def read_hovsg(file: SceneFile, options: ReadOptions) -> Scene:
     """One scene from an HOV-SG folder; rooms in order of their ids.
 
     Raises
@@ -30,9 +28,9 @@ def read_hovsg(folder: Path, options: ReadOptions) -> Scene:
     InputError
         A file is not JSON, or lacks ``room_id``, ``objects`` or ``name``.
     """
-    root = hovsg_root(folder)
+    root = _root(file.path)
     if root is None:
-        raise InputError(f"{folder}: no rooms/*.json in it; give the folder that HOV-SG wrote")
+        raise InputError(f"{file.path}: no rooms/*.json in it; give the folder that HOV-SG wrote")
     found = map(_object, sorted((root / "objects").glob("*.json")))
     objects = {thing.object_id: thing for thing in found}
     rooms, held = [], set()
@@ -52,9 +50,17 @@ def read_hovsg(folder: Path, options: ReadOptions) -> Scene:
             )
         )
     unassigned = tuple(thing for key, thing in objects.items() if key not in held)
-    scene = Scene(folder.name, rooms, unassigned, local_ids=True)
+    scene = Scene(file.path.name, rooms, unassigned, local_ids=True)
     report_unassigned(scene, len(objects), options.warn)
     return scene
+
+
+def _root(folder: Path) -> Path | None:
+    """The folder that holds ``rooms/*.json``, this one or its ``graph``; None without one."""
+    for root in (folder, folder / "graph"):
+        if any((root / "rooms").glob("*.json")):
+            return root
+    return None
 
 
 def _object(path: Path) -> SceneObject:

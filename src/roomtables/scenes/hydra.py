@@ -1,4 +1,4 @@
-"""Hydra's label-space YAML files: the names of a graph's label ids, and what becomes of them here.
+"""Hydra's label-space YAML files: names for a graph's label ids, or a label space of roomtables.
 
 Reading YAML needs the extra ``scene-graphs``.
 """
@@ -18,7 +18,7 @@ _NOT_OBJECTS = frozenset({"", "unknown", "void", "unlabeled", "unlabelled", "mis
 
 @dataclass(frozen=True, slots=True)
 class HydraLabels:
-    """A Hydra label space: every id's name, and the ids of objects, where the file lists them."""
+    """A Hydra label space: each id's name, and which ids are objects, where the file lists them."""
 
     names: dict[int, str]
     objects: tuple[int, ...]
@@ -76,7 +76,7 @@ def _load_yaml(path: Path) -> Any:
 
 
 def load_label_names(path: Path) -> dict[int, str]:
-    """The names of a Hydra label space, by label id."""
+    """The names of a Hydra label space, by label id; raises as `read_hydra_labels` does."""
     return read_hydra_labels(path).names
 
 
@@ -108,5 +108,6 @@ def to_label_space(
 
 
 def _other_names(label: str, known: Sequence[ObjectLabel]) -> set[str]:
+    """What else the known object of this label or synonym is called."""
     groups = ({entry.label, *entry.synonyms} for entry in known)
     return next((group - {label} for group in groups if label in group), set())

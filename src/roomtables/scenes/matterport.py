@@ -8,14 +8,13 @@ categories that say nothing about a room are left out, and so are outdoor, unnam
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
 from roomtables.errors import InputError
-from roomtables.scenes.matterport_labels import ROOM_NAMES, UNNAMED, object_namer
+from roomtables.scenes.matterport_labels import ROOM_NAMES, UNNAMED, Category, object_namer
 from roomtables.scenes.scene import (
     Box,
     Point,
@@ -25,10 +24,11 @@ from roomtables.scenes.scene import (
     SceneRoom,
     report_unassigned,
 )
+from roomtables.scenes.scene_file import SceneFile
 
-MAGIC = "ASCII 1."
+_MAGIC = "ASCII 1."
 _LONGEST_LINE = 65_536
-NOT_ROOMS = frozenset({"yard", "balcony", "porch", UNNAMED})
+_NOT_ROOMS = frozenset({"yard", "balcony", "porch", UNNAMED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +38,6 @@ class Region:
     index: int
     letter: str
     box: Box
-
-
-@dataclass(frozen=True, slots=True)
-class Category:
-    """A ``C`` line: index and name in Matterport's category mapping, and the mpcat40 name."""
-
-    mapping_index: int
-    mapping_name: str
-    mpcat40: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +73,7 @@ def parse_house(lines: Iterable[str], source: str) -> House:
     """
     numbered = enumerate(lines, start=1)
     _, first = next(numbered, (1, ""))
-    if not first.startswith(MAGIC):
+    if not first.startswith(_MAGIC):
         raise InputError(f"{source}, line 1: a .house file begins with `ASCII 1.1`")
     house = House(Path(source).stem)
     places: list[str] = []
@@ -189,14 +180,20 @@ def region_of(thing: HouseObject, regions: Iterable[Region]) -> int | None:
     return thing.region if thing.region >= 0 else None
 
 
-def read_house(path: Path, options: ReadOptions) -> Scene:
+def is_house(file: SceneFile) -> bool:
+    """Whether a file begins as a ``.house`` file does."""
+    return file.text.startswith(_MAGIC)
+
+
+def read_house(file: SceneFile, options: ReadOptions) -> Scene:
     """One house; its rooms in the file's order, with the paper's filters unless ``keep_all``.
 
     Raises
     ------
     InputError
-        The file is malformed (see `parse_house`).
+        The file is malformed (see `parse_house`), or `object_namer` refuses the options.
     """
+    path = file.path
     with path.open(encoding="utf-8", errors="replace") as lines:
         house = parse_house(_short_lines(lines, path), str(path))
     _warn_if_short(house, path, options)
@@ -231,7 +228,7 @@ def _rooms(
     for region in house.regions.values():
         name = ROOM_NAMES.get(region.letter, UNNAMED)
         objects = tuple(contents.get(region.index, ()))
-        if options.keep_all or (objects and name not in NOT_ROOMS):
+        if options.keep_all or (objects and name not in _NOT_ROOMS):
             yield SceneRoom(f"{house.name}/{region.index}", objects, name, (name,), region.box)
 
 
@@ -244,8 +241,3 @@ def _warn_if_short(house: House, path: Path, options: ReadOptions) -> None:
         if len(found) < house.announced.get(kind, 0):
             announced = house.announced[kind]
             options.warn(f"{path}: {len(found)} of {announced} {kind}; is the file cut short?")
-
-
-def room_frequencies(rooms: Iterable[SceneRoom]) -> Counter[str]:
-    """How often each room label occurs (the paper's table 1)."""
-    return Counter(";".join(room.truth) or "unknown" for room in rooms)

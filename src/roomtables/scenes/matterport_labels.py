@@ -5,14 +5,15 @@ from __future__ import annotations
 import csv
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from roomtables.config import load_labels
 from roomtables.errors import InputError
 from roomtables.labels import normalise
 from roomtables.scenes.scene import ReadOptions
 
+MPCAT40, NYUCLASS = "mpcat40", "nyuclass"
 UNNAMED = "none"
 ROOM_NAMES = {
     "a": "bathroom",
@@ -47,25 +48,28 @@ ROOM_NAMES = {
     "Z": UNNAMED,
     "-": UNNAMED,
 }
-REJECTED = frozenset({"void", "wall", "floor", "ceiling", "misc", "unlabeled", "-"})
+_REJECTED = frozenset({"void", "wall", "floor", "ceiling", "misc", "unlabeled", "-"})
 
 
-class CategoryLine(Protocol):
-    """A category as a ``.house`` file gives it."""
+@dataclass(frozen=True, slots=True)
+class Category:
+    """A ``C`` line: index and name in Matterport's category mapping, and the mpcat40 name."""
 
-    @property
-    def mapping_index(self) -> int: ...
-    @property
-    def mapping_name(self) -> str: ...
-    @property
-    def mpcat40(self) -> str: ...
+    mapping_index: int
+    mapping_name: str
+    mpcat40: str
 
 
-Namer = Callable[[CategoryLine], str | None]
+Namer = Callable[[Category], str | None]
+
+
+def house_labels(labels: str) -> str:
+    """The label space to name a house's objects in, where tables of ``labels`` are to answer."""
+    return NYUCLASS if Path(labels).name == NYUCLASS else MPCAT40
 
 
 def object_namer(options: ReadOptions) -> Namer:
-    """How to name an object from its category line in the label space asked for; None rejects it.
+    """What names an object by its category, in the label space asked for; None leaves it out.
 
     Raises
     ------
@@ -73,9 +77,9 @@ def object_namer(options: ReadOptions) -> Namer:
         The label space is neither ``mpcat40`` nor ``nyuclass``, or the category mapping is not
         Matterport's.
     """
-    if options.object_labels == "mpcat40":
+    if options.object_labels == MPCAT40:
         return _mpcat40
-    if options.object_labels != "nyuclass":
+    if options.object_labels != NYUCLASS:
         raise InputError(
             "a .house file has the label spaces mpcat40 and nyuclass, not "
             f"{options.object_labels!r}; give `--labels mpcat40` or `--labels nyuclass`"
@@ -89,33 +93,35 @@ def object_namer(options: ReadOptions) -> Namer:
     return _nyuclass_by_name
 
 
-def _mpcat40(category: CategoryLine) -> str | None:
+def _mpcat40(category: Category) -> str | None:
     name = normalise(category.mpcat40)
-    if name in REJECTED or name == "objects":
+    if name in _REJECTED or name == "objects":
         return None
-    return _aliases("mpcat40").get(name, name)
+    return _aliases(MPCAT40).get(name, name)
 
 
 @functools.cache
 def _aliases(labels: str) -> dict[str, str]:
+    """Every name of a built-in label space's objects, and the label that it means."""
     return load_labels(labels).object_aliases
 
 
-def _nyuclass_by_name(category: CategoryLine) -> str | None:
+def _nyuclass_by_name(category: Category) -> str | None:
     """The class that the category's own name says, else its last word, else its mpcat40 name."""
-    aliases = _aliases("nyuclass")
+    aliases = _aliases(NYUCLASS)
     name, mpcat40 = normalise(category.mapping_name), normalise(category.mpcat40)
     parts = [name]
-    if not {name, mpcat40} & REJECTED:
+    if not {name, mpcat40} & _REJECTED:
         parts += [name.rpartition(" ")[2], mpcat40]
     return next((aliases[part] for part in parts if part in aliases), None)
 
 
 def _mapped_nyuclass(path: Path) -> Namer:
+    """A namer that looks the category up in ``category_mapping.tsv``."""
     classes = _read_mapping(path)
-    aliases = _aliases("nyuclass")
+    aliases = _aliases(NYUCLASS)
 
-    def namer(category: CategoryLine) -> str | None:
+    def namer(category: Category) -> str | None:
         name = classes.get(category.mapping_index)
         return _nyuclass_by_name(category) if name is None else aliases.get(normalise(name))
 

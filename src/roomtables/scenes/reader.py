@@ -1,119 +1,65 @@
-"""Any supported scene or room list, as rooms."""
+"""Any supported scene or room list: the table of formats, and reading by it.
+
+To add a format, write a module with two functions and give it a row in `FORMATS`. The first tells
+from a `SceneFile` (a file's first kilobytes, or a folder) whether the file is of the format; the
+second reads it into a `Scene`. A format with a JSON document of its own finds the decoded document
+in `SceneFile.document`. ``hm3d.py`` is the shortest example.
+"""
 
 from __future__ import annotations
 
-import json
-import re
 import sys
 from collections.abc import Callable, Iterator
-from enum import Enum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from roomtables.errors import InputError
 from roomtables.rooms import Room
-from roomtables.scenes import hm3d, matterport
-from roomtables.scenes.dsg import dsg_scene
-from roomtables.scenes.hm3d import read_hm3d
-from roomtables.scenes.hovsg import hovsg_root, read_hovsg
-from roomtables.scenes.matterport import read_house
+from roomtables.scenes.dsg import is_dsg, read_dsg
+from roomtables.scenes.dsg_graph import Graph, parse_graph
+from roomtables.scenes.hm3d import is_hm3d, read_hm3d
+from roomtables.scenes.hovsg import is_hovsg, read_hovsg
+from roomtables.scenes.matterport import is_house, read_house
 from roomtables.scenes.room_lists import (
-    nested_scene,
+    is_csv,
+    is_json_lines,
+    is_nested,
+    json_lines_scene,
     read_csv_rooms,
-    read_room_lines,
-    room_lines_scene,
+    read_json_lines,
+    read_nested,
 )
 from roomtables.scenes.scene import ReadOptions, Scene, Warn, silent
-from roomtables.scenes.sparkdsg import sparkdsg_document
+from roomtables.scenes.scene_file import HEAD, SceneFile
+from roomtables.scenes.sparkdsg import is_sparkdsg, read_sparkdsg, sparkdsg_document
 
 STANDARD_INPUT = Path("-")
+# Bytes of JSON beyond which it is no scene: with a first key that scenes are known to have, and
+# with another (see `SceneFile.has_document_key`).
+_LARGE, _LARGE_AND_STRANGE = 1 << 30, 1 << 26
 
 
-def load_json(path: Path) -> Any:
-    """A decoded JSON file.
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format: its name in error messages, how it is recognised, and its reader."""
 
-    Raises
-    ------
-    InputError
-        It is not UTF-8, or not JSON: often a file that was cut short.
-    """
-    try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text ({error.reason})") from error
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{path}, line {error.lineno}: invalid JSON ({error.msg}, character {error.pos}); "
-            "was the file cut short? save the graph again"
-        ) from error
-    except (RecursionError, MemoryError) as error:
-        raise InputError(f"{path}: nested too deeply or too large to be a scene") from error
+    name: str
+    recognises: Callable[[SceneFile], bool]
+    read: Callable[[SceneFile, ReadOptions], Scene]
 
 
-def load_graph_document(path: Path) -> dict[str, Any]:
-    """The JSON of a Spark-DSG graph, mesh and all, from ``.json`` or ``.sparkdsg``.
-
-    Raises
-    ------
-    InputError
-        The file is malformed, or of another format.
-    MissingExtraError
-        A ``.sparkdsg`` file needs the extra ``scene-graphs``.
-    """
-    found = recognise(path)
-    if found is Format.SPARKDSG:
-        return sparkdsg_document(path, include_mesh=True)
-    if found is Format.JSON:
-        match load_json(path):
-            case {"nodes": _} as document:
-                return dict(document)
-    raise InputError(
-        f"{path}: not a Spark-DSG graph, so no names can be written into it; "
-        "`roomtables classify --input` labels every format"
-    )
-
-
-def _read_json(path: Path, options: ReadOptions) -> Scene:
-    match load_json(path):
-        case {"nodes": _} as document:
-            return dsg_scene(document, path, options)
-        case {"rooms": _} as document:
-            return nested_scene(document, path)
-        case _:
-            raise InputError(f"{path}: JSON, but no scene that roomtables knows; give {SUPPORTED}")
-
-
-def _read_sparkdsg(path: Path, options: ReadOptions) -> Scene:
-    return dsg_scene(sparkdsg_document(path, include_mesh=False), path, options)
-
-
-def scene_files(path: Path) -> list[Path]:
-    """The scenes that a path stands for: itself, or every ``.house`` file in the folder."""
-    return (list(house_files(path)) if path.is_dir() else []) or [path]
-
-
-def read_scene(path: Path, options: ReadOptions | None = None) -> Scene:
-    """One scene, its format told by its content; ``-`` is JSON lines on standard input.
-
-    Raises
-    ------
-    InputError
-        The file is of no known format, or malformed.
-    MissingExtraError
-        A ``.sparkdsg`` file or a label-space YAML needs the extra ``scene-graphs``.
-    """
-    if path == STANDARD_INPUT:
-        return room_lines_scene(sys.stdin.buffer, "standard input")
-    try:
-        return _READERS[recognise(path)](path, options or ReadOptions())
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}; give a scene file") from error
-
-
-def read_scenes(path: Path, options: ReadOptions | None = None) -> Iterator[Scene]:
-    """The scenes that a path stands for, one at a time; raises as `read_scene` does."""
-    for file in scene_files(path):
-        yield read_scene(file, options)
+# The first format that recognises a file reads it.
+FORMATS = (
+    Format("Spark-DSG JSON", is_dsg, read_dsg),
+    Format(".sparkdsg", is_sparkdsg, read_sparkdsg),
+    Format("Matterport .house", is_house, read_house),
+    Format("HM3D .semantic.txt", is_hm3d, read_hm3d),
+    Format("an HOV-SG folder", is_hovsg, read_hovsg),
+    Format("JSON lines {room_id, objects}", is_json_lines, read_json_lines),
+    Format("nested JSON {rooms: […]}", is_nested, read_nested),
+    Format("CSV (room_id, object[, room])", is_csv, read_csv_rooms),
+)
+SUPPORTED = ", ".join(format_.name for format_ in FORMATS[:-1]) + f", or {FORMATS[-1].name}"
 
 
 def read_rooms(
@@ -131,7 +77,7 @@ def read_rooms(
     ----------
     path
         A scene, a room list, a folder of ``.house`` files, or ``-`` for JSON lines on standard
-        input. The content decides the format.
+        input.
     labelspace
         Hydra's label-space YAML, for a graph that does not name its labels.
     keep_all
@@ -154,123 +100,83 @@ def read_rooms(
             yield room.as_room()
 
 
-_HEAD = 65_536
-# Bytes of JSON beyond which it is no scene: with keys that a scene begins with, and without.
-_LARGE, _LARGE_AND_STRANGE = 1 << 30, 1 << 26
-_FIRST_KEY = re.compile(r'\s*\{\s*"((?:[^"\\]|\\.)*)"\s*:')
-_GRAPH_KEYS = frozenset(
-    {
-        "SPARK_DSG_header",
-        "directed",
-        "edges",
-        "graph",
-        "layer_ids",
-        "layer_keys",
-        "layer_names",
-        "mesh",
-        "mesh_edges",
-        "mesh_layer_id",
-        "metadata",
-        "multigraph",
-        "nodes",
-    }
-)
-SUPPORTED = (
-    "Spark-DSG JSON, .sparkdsg, Matterport .house, HM3D .semantic.txt, an HOV-SG folder, "
-    "JSON lines {room_id, objects}, nested JSON {rooms: […]}, or CSV (room_id, object[, room])"
-)
+def read_scenes(path: Path, options: ReadOptions | None = None) -> Iterator[Scene]:
+    """The scenes that a path stands for, one at a time; raises as `read_scene` does."""
+    for file in scene_files(path):
+        yield read_scene(file, options)
 
 
-class Format(Enum):
-    """The formats that can be read."""
-
-    ROOM_LINES = "JSON lines"
-    CSV = "CSV"
-    JSON = "JSON"
-    SPARKDSG = ".sparkdsg"
-    HOUSE = ".house"
-    HM3D = ".semantic.txt"
-    HOVSG = "HOV-SG folder"
+def scene_files(path: Path) -> list[Path]:
+    """The scenes that a path stands for: every ``.house`` file under a folder, else the path."""
+    houses = path.rglob("*.house") if path.is_dir() else ()
+    return sorted(house for house in houses if house.is_file()) or [path]
 
 
-_READERS: dict[Format, Callable[[Path, ReadOptions], Scene]] = {
-    Format.ROOM_LINES: read_room_lines,
-    Format.CSV: read_csv_rooms,
-    Format.JSON: _read_json,
-    Format.SPARKDSG: _read_sparkdsg,
-    Format.HOUSE: read_house,
-    Format.HM3D: read_hm3d,
-    Format.HOVSG: read_hovsg,
-}
-
-
-def recognise(path: Path) -> Format:
-    """The format of a file or an HOV-SG folder, from its first kilobytes.
+def read_scene(path: Path, options: ReadOptions | None = None) -> Scene:
+    """One scene of any format; ``-`` is JSON lines on standard input.
 
     Raises
     ------
     InputError
-        The path cannot be read, or holds none of the formats.
+        The file is of no known format, or malformed.
+    MissingExtraError
+        A ``.sparkdsg`` file or a label-space YAML needs the extra ``scene-graphs``.
     """
-    if path.is_dir():
-        if hovsg_root(path):
-            return Format.HOVSG
-        raise InputError(
-            f"{path}: neither .house files nor an HOV-SG graph in it; give {SUPPORTED}"
-        )
+    if path == STANDARD_INPUT:
+        return json_lines_scene(sys.stdin.buffer, "standard input")
+    file = _open(path)
     try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-        size = path.stat().st_size
+        return _format_of(file).read(file, options or ReadOptions())
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}; give a scene file") from error
-    return _recognise_head(head, path, size)
 
 
-def _recognise_head(head: bytes, path: Path, size: int) -> Format:
-    if not head.strip():
-        if size > _HEAD:
-            raise InputError(f"{path}: blank for {_HEAD} bytes; give {SUPPORTED}")
-        return Format.ROOM_LINES  # no room at all is a room list too
-    if head[:32].find(b"SPARK_DSG") >= 0 and not head.lstrip().startswith(b"{"):
-        return Format.SPARKDSG
-    text = head.decode("utf-8-sig", errors="replace")
-    if text.startswith(matterport.MAGIC):
-        return Format.HOUSE
-    first_line = text.lstrip("\ufeff").split("\n", 1)[0].strip()
-    if first_line == hm3d.HEADER:
-        return Format.HM3D
-    if text.lstrip()[:1] in "{[":
-        return _recognise_json(text, path, size)
-    columns = {cell.strip().strip('"') for cell in first_line.split(",")}
-    if columns & {"room_id", "object"}:
-        return Format.CSV
-    if b"\0" not in head and path.suffix in (".jsonl", ".ndjson"):
-        return Format.ROOM_LINES  # its reader names the line that is no JSON
-    raise InputError(f"{path}: not a format that roomtables reads; give {SUPPORTED}")
+def read_graph(path: Path) -> Graph:
+    """A Spark-DSG graph with its mesh, from ``.json`` or ``.sparkdsg``, to write names into.
+
+    Raises
+    ------
+    InputError
+        The file is malformed, or of another format.
+    MissingExtraError
+        A ``.sparkdsg`` file needs the extra ``scene-graphs``.
+    """
+    file = _open(path)
+    if is_sparkdsg(file):
+        return parse_graph(sparkdsg_document(path, include_mesh=True), str(path))
+    if is_dsg(file):
+        return parse_graph(file.document, str(path))
+    if not file.is_json:
+        _format_of(file)  # a file of no format at all is told so
+    raise InputError(
+        f"{path}: not a Spark-DSG graph, so no names can be written into it; "
+        "`roomtables classify --input` labels every format"
+    )
 
 
-def _recognise_json(text: str, path: Path, size: int) -> Format:
-    """One JSON document, or JSON lines: a first line that is whole and a room tells them apart."""
-    first_line, _, rest = text.strip().partition("\n")
-    first_key = _FIRST_KEY.match(text)
-    known = first_key is not None and first_key[1] in _GRAPH_KEYS | {"rooms"}
-    try:
-        value = json.loads(first_line)
-    except (ValueError, RecursionError):
-        value = None
-    if isinstance(value, dict) and not known:
-        document = {"rooms", "nodes"} & value.keys() and not rest.strip()
-        return Format.JSON if document else Format.ROOM_LINES
-    room = first_key is not None and first_key[1] in {"room_id", "objects", "room"}
-    if room and first_line.strip() not in ("{", "["):
-        return Format.ROOM_LINES
-    if size > (_LARGE if known else _LARGE_AND_STRANGE):
-        kind = "a graph without its mesh is smaller" if known else f"give {SUPPORTED}"
-        raise InputError(f"{path}: {size / 2**30:.1f} GB of JSON is more than a scene; {kind}")
-    return Format.JSON
+def _open(path: Path) -> SceneFile:
+    """The file, unless it is JSON too large to be decoded."""
+    file = SceneFile.open(path)
+    known = file.has_document_key
+    is_document = file.is_json and not file.has_object_lines
+    if is_document and file.size > (_LARGE if known else _LARGE_AND_STRANGE):
+        advice = "a graph without its mesh is smaller" if known else f"give {SUPPORTED}"
+        size = f"{file.size / 2**30:.1f} GB"
+        raise InputError(f"{path}: {size} of JSON is more than a scene; {advice}")
+    return file
 
 
-def house_files(folder: Path) -> Iterator[Path]:
-    """The ``.house`` files under a folder, in order of name."""
-    yield from sorted(path for path in folder.rglob("*.house") if path.is_file())
+def _format_of(file: SceneFile) -> Format:
+    """The first format that recognises the file."""
+    for format_ in FORMATS:
+        if format_.recognises(file):
+            return format_
+    if file.is_folder:
+        problem = "neither .house files nor an HOV-SG graph in it"
+    elif file.is_json:
+        problem = "JSON, but no scene that roomtables knows"
+    elif file.is_blank:
+        problem = f"blank for {HEAD} bytes"
+    else:
+        problem = "not a format that roomtables reads"
+    raise InputError(f"{file.path}: {problem}; give {SUPPORTED}")

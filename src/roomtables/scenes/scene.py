@@ -1,12 +1,13 @@
 """A scene as every reader yields it: rooms that hold objects, and the objects that no room holds.
 
-Distances are metres in the scene's own frame. A reader leaves out what its format does not tell:
-a room list knows neither boxes nor positions.
+Positions and boxes are in metres, in the scene's own frame, and are left out where a format has
+none, as room lists.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ Warn = Callable[[str], None]
 
 
 def are_finite(*values: object) -> bool:
-    """Whether all are numbers that a float can hold; neither NaN nor infinite."""
+    """Whether all are finite numbers; an integer beyond a float's range is not."""
     try:
         return all(isinstance(value, int | float) and math.isfinite(value) for value in values)
     except OverflowError:
@@ -98,9 +99,9 @@ class SceneRoom:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One scene. ``rooms`` may be lazy and is then read once (a long room list).
+    """One scene. ``rooms`` may be an iterator, to be run through once (a long room list).
 
-    ``local_ids`` marks room ids that another scene may well use too, such as a graph's ``R0``.
+    ``local_ids`` says that another scene may use the same room ids, as graphs do (``R0``).
     """
 
     name: str
@@ -115,12 +116,12 @@ def silent(_: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """How to read a scene; each format takes what concerns it.
+    """How to read a scene; a reader looks at the fields that concern its format.
 
-    ``labelspace`` is a Hydra label-space YAML for a graph that names no labels, ``keep_all`` keeps
-    the Matterport rooms that the paper drops, ``object_labels`` is ``mpcat40`` or ``nyuclass``,
-    ``category_mapping`` is Matterport's own ``category_mapping.tsv``, and ``warn`` receives one
-    line about each thing that was left out.
+    ``labelspace`` is a Hydra label-space YAML for a graph that names no labels; ``keep_all`` keeps
+    the Matterport rooms that the paper drops; ``object_labels`` is ``mpcat40`` or ``nyuclass``;
+    ``category_mapping`` is Matterport's own ``category_mapping.tsv``; ``warn`` receives a line
+    about each thing that was left out.
     """
 
     labelspace: Path | None = None
@@ -140,3 +141,8 @@ def report_unassigned(scene: Scene, total: int, warn: Warn) -> None:
     warn(
         f"{scene.name}: {len(scene.unassigned)} of {total} objects {lie} in no room: {shown}{more}"
     )
+
+
+def room_frequencies(rooms: Iterable[SceneRoom]) -> Counter[str]:
+    """How many rooms have each true label; ``unknown`` where a room has none."""
+    return Counter(";".join(room.truth) or "unknown" for room in rooms)

@@ -1,7 +1,8 @@
-"""Binary Spark-DSG files, through the package ``spark_dsg`` (the extra ``scene-graphs``).
+"""Spark-DSG's binary form, in files and in messages, through the package ``spark_dsg``.
 
-A graph is taken as the JSON that ``spark_dsg`` itself writes for it, so there is one reader and one
-writer of graphs.
+A file is read and written by way of the JSON that ``spark_dsg`` itself writes for it, so that
+`dsg` and `dsg_graph` serve both forms. A message of a running robot stays a graph of ``spark_dsg``,
+without the detour by JSON. Needs the extra ``scene-graphs``.
 """
 
 from __future__ import annotations
@@ -14,25 +15,36 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import InputError, MissingExtraError
-from roomtables.scenes.dsg_graph import label_spaces, rooms_of, symbol
-from roomtables.scenes.dsg_labels import NamedRoom, room_label_space
+from roomtables.errors import InputError, MissingExtraError, first_line
+from roomtables.scenes.dsg import NamedRoom, graph_scene, room_label_space
+from roomtables.scenes.dsg_graph import label_spaces, parse_graph, rooms_of, symbol
 from roomtables.scenes.hydra import load_label_names
+from roomtables.scenes.scene import ReadOptions, Scene
+from roomtables.scenes.scene_file import SceneFile
+
+# What decoding a message may allocate: a forged length field must not take the robot's memory.
+_LEAST_BYTES = 512 << 20
+_BYTES_PER_MESSAGE_BYTE = 64
+# A node's id is a letter above these bits, and an index.
+_INDEX_BITS = 56
+_OBJECT_LETTERS = frozenset(map(ord, "Oo"))
 
 
-def graph_class() -> Any:
-    """``spark_dsg.DynamicSceneGraph``.
+def is_sparkdsg(file: SceneFile) -> bool:
+    """Whether a file has the header of a binary Spark-DSG graph; its JSON has one as well."""
+    return b"SPARK_DSG" in file.head[:32] and not file.is_json
+
+
+def read_sparkdsg(file: SceneFile, options: ReadOptions) -> Scene:
+    """One scene from a ``.sparkdsg`` file, read without its mesh.
 
     Raises
     ------
-    MissingExtraError
-        ``spark_dsg`` is not installed.
+    InputError, MissingExtraError
+        As `sparkdsg_document`, or as reading the same graph from JSON.
     """
-    try:
-        from spark_dsg import DynamicSceneGraph
-    except ImportError as error:
-        raise MissingExtraError("a .sparkdsg scene graph", "scene-graphs") from error
-    return DynamicSceneGraph
+    document = sparkdsg_document(file.path, include_mesh=False)
+    return graph_scene(parse_graph(document, str(file.path)), file.path.stem, options)
 
 
 def sparkdsg_document(path: Path, *, include_mesh: bool) -> dict[str, Any]:
@@ -45,16 +57,15 @@ def sparkdsg_document(path: Path, *, include_mesh: bool) -> dict[str, Any]:
     MissingExtraError
         ``spark_dsg`` is not installed.
     """
-    loader = graph_class()
+    loader = _graph_class()
     with tempfile.TemporaryDirectory() as folder:
         name = Path(folder) / "graph.sparkdsg"
         name.symlink_to(path.resolve())  # spark_dsg goes by the suffix
         try:
             graph = loader.load(name)
         except Exception as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(
-                f"{path}: not a readable .sparkdsg file ({reason}); save the graph again"
+                f"{path}: not a readable .sparkdsg file ({first_line(error)}); save the graph again"
             ) from error
         graph.save(Path(folder) / "graph.json", include_mesh)
         document: dict[str, Any] = json.loads((Path(folder) / "graph.json").read_bytes())
@@ -71,22 +82,25 @@ def write_sparkdsg(document: dict[str, Any], path: Path) -> None:
     MissingExtraError
         ``spark_dsg`` is not installed.
     """
-    loader = graph_class()
+    loader = _graph_class()
     with tempfile.TemporaryDirectory() as folder:
         name = Path(folder) / "graph.json"
         name.write_text(json.dumps(document), encoding="utf-8")
         try:
             loader.load(name).save(path, True)
         except Exception as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(f"spark_dsg cannot load the graph ({reason}); write .json") from error
+            raise InputError(
+                f"spark_dsg cannot load the graph ({first_line(error)}); write .json"
+            ) from error
 
 
-# What decoding a message may allocate: a forged length field must not take the robot's memory.
-_LEAST_BYTES = 512 << 20
-_BYTES_PER_MESSAGE_BYTE = 64
-_INDEX_BITS = 56
-_OBJECT_LETTERS = frozenset(map(ord, "Oo"))
+def _graph_class() -> Any:
+    """``spark_dsg.DynamicSceneGraph``."""
+    try:
+        from spark_dsg import DynamicSceneGraph
+    except ImportError as error:
+        raise MissingExtraError("a .sparkdsg scene graph", "scene-graphs") from error
+    return DynamicSceneGraph
 
 
 class LiveGraph:
@@ -160,7 +174,7 @@ class GraphCodec:
 
     def __init__(self, labelspace: Path | None = None) -> None:
         self._names = load_label_names(labelspace) if labelspace else None
-        self._graph_class = graph_class()
+        self._graph_class = _graph_class()
 
     def decode(self, message: bytes) -> LiveGraph:
         """A graph from a message.
@@ -177,8 +191,7 @@ class GraphCodec:
         except InputError:
             raise
         except Exception as error:  # whatever a forged message makes of the decoder
-            reason = (str(error) or type(error).__name__).splitlines()[0]
-            raise InputError(f"not a readable scene graph ({reason})") from error
+            raise InputError(f"not a readable scene graph ({first_line(error)})") from error
 
 
 def _nodes(graph: Any, layer: str) -> Iterable[Any]:

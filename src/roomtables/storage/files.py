@@ -1,4 +1,8 @@
-"""Manners with files: errors in one line, no links that lead elsewhere, names that are text."""
+"""Files and locks: one-line errors, atomic writes, no links that lead elsewhere, one builder.
+
+One exclusive lock per tables folder for the builder; a shared lock on a folder for each reader that
+opens its files one by one. The system frees a lock when its process dies, so none is ever stale.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +42,20 @@ def writing(folder: Path) -> Iterator[None]:
         raise StoreError(f"cannot write {where}: {error.strerror or error}; {advice}") from error
 
 
+def write_aside(path: Path, data: bytes) -> None:
+    """Replace a file atomically: a reader sees the old content or the new, never a part."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with aside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(aside, path)
+    except OSError as error:
+        aside.unlink(missing_ok=True)
+        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+
+
 def refuse_outside(root: Path, *paths: Path) -> None:
     """Refuse symbolic links that lead out of a folder.
 
@@ -73,9 +91,9 @@ log = logging.getLogger(__name__)
 _LOCK = ".build-lock"
 
 
-def utc_now() -> str:
-    """The time, in UTC, as ISO 8601 to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+def utc_now() -> datetime:
+    """The time, in UTC, to the second."""
+    return datetime.now(UTC).replace(microsecond=0)
 
 
 @contextmanager
@@ -99,7 +117,10 @@ def build_lock(tables: Path, wait: bool = False) -> Iterator[None]:
         ) from error
     try:
         _acquire(descriptor, tables, wait)
-        _note(descriptor, f"process {os.getpid()} on {socket.gethostname()} since {utc_now()}\n")
+        _note(
+            descriptor,
+            f"process {os.getpid()} on {socket.gethostname()} since {utc_now().isoformat()}\n",
+        )
         yield
         _note(descriptor, "")
     finally:

@@ -1,12 +1,13 @@
 """The mapped lookup: what a decision needs of a published version, as memory-mapped arrays.
 
-A folder ``lookup/`` holds ``lookup.json`` (labels, spellings, template, and the array files with
-their sizes and hashes) and, per source, arrays of a fixed layout. It is read with numpy alone.
+A folder ``lookup/`` holds ``lookup.json`` (labels, names, templates, which room each column of
+scores is, and the array files with their sizes and hashes) and, per source, arrays of a fixed
+layout. It is read with numpy alone.
 
-What an open verifies: the hash of ``lookup.json`` and of the label list against the manifest; the
-whole content of small arrays; of large ones the size, the header, and pages sampled throughout.
-That finds a truncated file and one swapped for another. Flipped bits between the sampled pages are
-found by ``verify=True``, which reads everything.
+What an open verifies: the hash of ``lookup.json`` against the manifest; the whole content of small
+arrays; of large ones the size, the header, and pages sampled throughout. That finds a truncated
+file and one swapped for another. Flipped bits between the sampled pages are found by
+``verify=True``, which reads everything.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import io
 import json
 import mmap
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -26,20 +27,18 @@ from numpy.typing import NDArray
 
 from roomtables.errors import StoreError
 from roomtables.labels import ObjectLabel, RoomLabel
+from roomtables.storage.manifest import Manifest
 
 INDEX = "lookup.json"
-# Arrays: dtypes allowed, and number of dimensions. Scores in half precision are held as the
-# distance to the row's maximum, and come with the maxima.
-ARRAYS: Mapping[str, tuple[tuple[str, ...], int]] = {
-    "entropy": (("<f8",), 1),
-    "ranks": (("<i4",), 1),
-    "room_logits": (("<f8",), 2),
-    "bias": (("<f8",), 1),
-    "keys": (("<u8",), 1),
-    "scores": (("<f4", "<f2"), 2),
-    "maxima": (("<f4",), 1),
+# Arrays by name: dtype, and number of dimensions.
+ARRAYS: Mapping[str, tuple[str, int]] = {
+    "entropy": ("<f8", 1),
+    "ranks": ("<i4", 1),
+    "room_logits": ("<f8", 2),
+    "bias": ("<f8", 1),
+    "keys": ("<u8", 1),
+    "scores": ("<f4", 2),
 }
-OPTIONAL = ("maxima",)
 
 _SMALL = 1 << 20  # bytes of a file that is read and hashed whole on every open
 _PAGE = 4096
@@ -60,29 +59,19 @@ def pack_keys(ranks: NDArray[np.int64], k: int) -> NDArray[np.uint64]:
     return keys
 
 
-def unpack_ranks(keys: NDArray[np.uint64], k: int) -> NDArray[np.int64]:
-    """Ranks ``[n, k]`` of keys ``[n]``; 0 behind the last object."""
-    bits = key_bits(k)
-    mask = np.uint64((1 << bits) - 1)
-    columns: Sequence[NDArray[np.uint64]] = [
-        (keys >> np.uint64(bits * (k - 1 - column))) & mask for column in range(k)
-    ]
-    return np.stack(columns, axis=1).astype(np.int64)
-
-
 @dataclass(frozen=True, slots=True)
 class SourceArrays:
-    """One source's arrays; objects and rooms in label order, R⁺ = predicted rooms.
+    """One source's arrays; objects and rooms in label order, R⁺ = predicted rooms in label order.
 
     Attributes
     ----------
     entropy : ``[objects]``, nats
     ranks : ``[objects]``, 1 = most informative
-    room_logits : ``[objects, rooms]``, nats: S(o, r) of a proxy, log p(r | o) of counts
+    room_logits : ``[objects, rooms]``, nats: what L is the log softmax of; S(o, r) of a proxy,
+        log p(r | o) of counts
     bias : ``[R⁺]``, b in nats
     keys : ``[combinations]``, sorted
-    scores : ``[combinations, R⁺]``, nats: S of the query sentences; in float16, S − the row's max
-    maxima : ``[combinations]``, nats: the maxima taken from float16 scores; else ``None``
+    scores : ``[combinations, R⁺]``, nats: S of the query sentences
     """
 
     entropy: NDArray[np.float64]
@@ -90,38 +79,43 @@ class SourceArrays:
     room_logits: NDArray[np.float64]
     bias: NDArray[np.float64]
     keys: NDArray[np.uint64]
-    scores: NDArray[np.float32] | NDArray[np.float16]
-    maxima: NDArray[np.float32] | None = None
+    scores: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
 class Lookup:
-    """An opened lookup folder."""
+    """An opened lookup folder.
+
+    Attributes
+    ----------
+    object_aliases, room_aliases : every name that is read as it stands, normalised → its label
+    k : objects in a combination at most
+    template : the wordings of the sentences; the query sentence has the first
+    """
 
     objects: tuple[ObjectLabel, ...]
     rooms: tuple[RoomLabel, ...]
     object_aliases: Mapping[str, str]
     room_aliases: Mapping[str, str]
     k: int
-    template: str
+    template: tuple[str, ...]
     reduction: str
     sources: Mapping[str, SourceArrays]
 
     @classmethod
-    def open(cls, folder: Path, manifest: Mapping[str, Any], verify: bool = False) -> Lookup:
+    def open(cls, folder: Path, manifest: Manifest, verify: bool = False) -> Lookup:
         """Map the arrays of a lookup folder.
 
         Parameters
         ----------
         folder : the lookup folder of a version
-        manifest : the version's manifest, which names the hashes of the index and the label list
+        manifest : the version's manifest, which holds the hash of the index
         verify : read and hash every byte
 
         Raises
         ------
         StoreError
-            A file is missing, truncated, swapped for another, not of the layout, or of another
-            label space.
+            A file is missing, truncated, swapped for another, or not of the layout.
         """
         try:
             return cls._open(folder, manifest, verify)
@@ -135,37 +129,31 @@ class Lookup:
             ) from error
 
     @classmethod
-    def _open(cls, folder: Path, manifest: Mapping[str, Any], verify: bool) -> Lookup:
+    def _open(cls, folder: Path, manifest: Manifest, verify: bool) -> Lookup:
         content = (folder / INDEX).read_bytes()
-        if hashlib.sha256(content).hexdigest() != manifest["lookup"]["sha256"]:
+        noted = manifest.files[f"{folder.name}/{INDEX}"]
+        if hashlib.sha256(content).hexdigest() != noted.sha256:
             raise ValueError(f"{INDEX} is not the one that the manifest names")
         index = json.loads(content)
         objects = tuple(ObjectLabel(label, plural) for label, plural in index["objects"])
         rooms = tuple(RoomLabel(r, article, (), p) for r, article, p in index["rooms"])
-        listed = label_list([o.label for o in objects], [r.label for r in rooms])
-        if listed != manifest["label_list"]:
-            raise ValueError("its labels are not those that the manifest lists")
-        shape = (len(objects), len(rooms), sum(room.predicted for room in rooms))
+        columns = [room.label for room in rooms if room.predicted]
+        if index["score_rooms"] != columns:
+            raise ValueError(f"{INDEX} does not name its columns of scores in label order")
+        shape = (len(objects), len(rooms), len(columns))
         return cls(
             objects,
             rooms,
             index["object_aliases"],
             index["room_aliases"],
             index["k"],
-            index["template"],
+            tuple(index["template"]),
             index["reduction"],
             {
                 source: _open_source(folder, files, shape, verify)
                 for source, files in index["sources"].items()
             },
         )
-
-
-def label_list(objects: Sequence[str], rooms: Sequence[str]) -> dict[str, Any]:
-    """The label list of a manifest: ``objects``, ``rooms``, and the ``sha256`` of both."""
-    lists = {"objects": list(objects), "rooms": list(rooms)}
-    text = json.dumps(lists, sort_keys=True, ensure_ascii=False)
-    return lists | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def sampled_sha256(file: BinaryIO, size: int) -> str:
@@ -180,8 +168,7 @@ def sampled_sha256(file: BinaryIO, size: int) -> str:
 def _open_source(
     folder: Path, files: Mapping[str, Any], shape: tuple[int, int, int], verify: bool
 ) -> SourceArrays:
-    names = [name for name in ARRAYS if name in files or name not in OPTIONAL]
-    arrays = {name: _open_array(folder, files[name], name, verify) for name in names}
+    arrays = {name: _open_array(folder, files[name], name, verify) for name in ARRAYS}
     found = SourceArrays(**arrays)
     objects, rooms, predicted = shape
     fits = (
@@ -189,8 +176,6 @@ def _open_source(
         and found.room_logits.shape == (objects, rooms)
         and len(found.bias) == predicted
         and found.scores.shape == (len(found.keys), predicted)
-        and (found.maxima is not None) == (found.scores.dtype == np.float16)
-        and (found.maxima is None or len(found.maxima) == len(found.keys))
     )
     if not fits:
         raise ValueError("its arrays do not fit each other or the labels")
@@ -216,9 +201,8 @@ def _open_array(folder: Path, listed: Mapping[str, Any], name: str, verify: bool
                 array = _map(file, size)
     if array is None:
         raise ValueError(f"{path.name} is not the file that it was written as")
-    dtypes, dimensions = ARRAYS[name]
-    if array.dtype.str not in dtypes or array.ndim != dimensions:
-        raise ValueError(f"{path.name} is not an array of {' or '.join(dtypes)}")
+    if (array.dtype.str, array.ndim) != ARRAYS[name]:
+        raise ValueError(f"{path.name} is not an array of {ARRAYS[name][0]}")
     return array
 
 

@@ -1,16 +1,15 @@
-"""Write a mapped lookup: small arrays whole, scores in the chunks that they come in.
+"""Write the mapped lookup of a version: small arrays whole, scores in the chunks they come in.
 
 Memory holds one chunk at a time, whatever the number of combinations.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import duckdb
 import numpy as np
@@ -21,11 +20,28 @@ from numpy.typing import NDArray
 
 from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
-from roomtables.schemas import PROXY
-from roomtables.storage.lookup import ARRAYS, INDEX, label_list, sampled_sha256
+from roomtables.schemas import PROXY, literal
+from roomtables.storage.lookup import ARRAYS, INDEX, sampled_sha256
+from roomtables.storage.manifest import FileFacts
+from roomtables.storage.versions import LOOKUP
 
-_SMALLEST = np.float16(2.0**-24)  # the smallest positive half-precision number
-_LOWEST = np.finfo(np.float16).min
+_BATCH = 8192  # combinations in memory at once
+
+
+class LookupSettings(NamedTuple):
+    """The settings of a build that whoever looks up has to know.
+
+    How a sentence about a combination that is not there would read and be scored, and how a room is
+    decided where nothing else is said.
+    """
+
+    k: int
+    template: tuple[str, ...]
+    reduction: str
+    source: str
+    rule: str
+    prior_weight: float
+    evidence_power: float
 
 
 @dataclass(frozen=True)
@@ -37,25 +53,41 @@ class ScoreChunks:
     rows : how many combinations there are in all
     width : |R⁺|
     chunks : pairs of keys and scores
-    half : write float16 distances to the row's maximum, and the maxima
     """
 
     rows: int
     width: int
     chunks: Iterable[tuple[NDArray[np.uint64], NDArray[np.float32]]]
-    half: bool = False
+
+
+Sources = Mapping[str, tuple[Mapping[str, NDArray[Any]], ScoreChunks]]
+
+
+def derive_lookup(version: Path, labels: LabelSpace, settings: LookupSettings) -> None:
+    """Write ``lookup/`` of a version from its Parquet files, in bounded memory.
+
+    Raises
+    ------
+    StoreError
+        ``query_scores`` is not sorted by source and key.
+    """
+    rooms = [room.label for room in labels.predicted_rooms]
+    scores = version / "query_scores.parquet"
+    with duckdb.connect() as connection:
+        small = _SmallTables(connection, version)
+        sources = {
+            source: (small.arrays(source, labels), read_scores(scores, source, rooms))
+            for source in small.sources()
+        }
+        write_lookup(version / LOOKUP, labels, settings, sources)
 
 
 def write_lookup(
-    folder: Path,
-    labels: LabelSpace,
-    settings: Mapping[str, Any],
-    sources: Mapping[str, tuple[Mapping[str, NDArray[Any]], ScoreChunks]],
-) -> dict[str, Any]:
+    folder: Path, labels: LabelSpace, settings: LookupSettings, sources: Sources
+) -> None:
     """Write a lookup folder: arrays first, the index that names and hashes them last.
 
-    ``settings`` holds ``k``, ``template`` and ``reduction``; ``sources`` the small arrays by name
-    and the scores, by source. Returns what the manifest has to say of the lookup.
+    ``sources`` holds, by source, the small arrays by name and the scores.
 
     Raises
     ------
@@ -63,73 +95,101 @@ def write_lookup(
         Keys do not ascend, or are not as many as announced.
     """
     folder.mkdir()
-    index = {
-        **settings,
+    index = settings._asdict() | {
         "objects": [[o.label, o.plural] for o in labels.objects],
         "rooms": [[r.label, r.article, r.predicted] for r in labels.rooms],
+        "score_rooms": [room.label for room in labels.predicted_rooms],
         "object_aliases": labels.object_aliases,
         "room_aliases": labels.room_aliases,
         "sources": {
             source: {name: _write_array(folder, source, name, arrays[name]) for name in arrays}
-            | write_scores(folder, source, scores)
+            | _write_scores(folder, source, scores)
             for source, (arrays, scores) in sources.items()
         },
     }
-    return write_index(folder, index)
+    (folder / INDEX).write_bytes(json.dumps(index, ensure_ascii=False).encode())
 
 
-def write_index(folder: Path, index: Mapping[str, Any]) -> dict[str, Any]:
-    """Write ``lookup.json``; returns what the manifest has to say of the lookup."""
-    content = json.dumps(index, ensure_ascii=False).encode()
-    (folder / INDEX).write_bytes(content)
-    return {
-        "lookup": {"sha256": hashlib.sha256(content).hexdigest()},
-        "label_list": label_list(
-            [label for label, _ in index["objects"]], [label for label, _, _ in index["rooms"]]
-        ),
-    }
+def read_scores(path: Path, source: str, rooms: list[str]) -> ScoreChunks:
+    """One source's rows of a ``query_scores`` file, in its order, a batch at a time.
 
-
-def write_scores(folder: Path, source: str, scores: ScoreChunks) -> dict[str, dict[str, Any]]:
-    """Write the files of keys and scores; returns their entries of the index by array.
-
-    Raises
-    ------
-    StoreError
-        Keys do not ascend, or are not as many as announced.
+    ``rooms`` names the columns, in the order in which the scores are to be written.
     """
-    shapes: dict[str, tuple[int, ...]] = {"keys": (scores.rows,)}
-    shapes["scores"] = (scores.rows, scores.width)
-    dtypes = {"keys": "<u8", "scores": "<f4"}
-    if scores.half:
-        shapes["maxima"] = (scores.rows,)
-        dtypes |= {"scores": "<f2", "maxima": "<f4"}
+    rows = sum(len(batch) for batch in _batches(path, source, ["source"]))
+    return ScoreChunks(rows, len(rooms), _chunks(path, source, rooms))
+
+
+def _chunks(
+    path: Path, source: str, rooms: list[str]
+) -> Iterator[tuple[NDArray[np.uint64], NDArray[np.float32]]]:
+    for batch in _batches(path, source, ["source", "key", *rooms]):
+        columns = [batch.column(room).to_numpy(zero_copy_only=False) for room in rooms]
+        keys = batch.column("key").to_numpy(zero_copy_only=False)
+        yield keys, np.stack(columns, axis=1).astype(np.float32, copy=False)
+
+
+def _batches(path: Path, source: str, columns: list[str]) -> Iterator[pa.RecordBatch]:
+    with pq.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
+        for batch in file.iter_batches(_BATCH, columns=columns, use_threads=False):
+            chosen = batch.filter(pc.equal(batch.column("source"), source))
+            if len(chosen):
+                yield chosen
+
+
+class _SmallTables:
+    """The tables of a version that fit into memory, column by column."""
+
+    def __init__(self, connection: duckdb.DuckDBPyConnection, version: Path) -> None:
+        self._connection = connection
+        self._version = version
+
+    def sources(self) -> list[str]:
+        return sorted({str(source) for source in self._column("source", "cooccurrence", "1")})
+
+    def arrays(self, source: str, labels: LabelSpace) -> dict[str, NDArray[Any]]:
+        """A source's small arrays, as :class:`~roomtables.storage.lookup.SourceArrays` has them."""
+        logit = "score" if source == PROXY else "ln(p_room_given_object)"
+        logits = self._column(
+            f"case when p_room_given_object > 0 then {logit} else '-inf'::double end",
+            "cooccurrence",
+            "object, room",
+            source,
+        )
+        return {
+            "entropy": self._column("entropy_nats", "entropy", "object", source),
+            "ranks": self._column("rank", "entropy", "object", source),
+            "room_logits": logits.reshape(len(labels.objects), len(labels.rooms)),
+            "bias": self._column("bias_nats", "room_bias", "room", source),
+        }
+
+    def _column(
+        self, expression: str, table: str, order: str, source: str | None = None
+    ) -> NDArray[Any]:
+        """An expression over the rows of a source (of all: ``None``), in some order."""
+        path = literal(self._version / f"{table}.parquet")
+        found = self._connection.execute(
+            f"select {expression} from read_parquet({path}) "
+            f"where source = coalesce(?, source) order by {order}",
+            [source],
+        )
+        (values,) = found.fetchnumpy().values()
+        return np.asarray(values)
+
+
+def _write_scores(folder: Path, source: str, scores: ScoreChunks) -> dict[str, dict[str, Any]]:
+    """Write the files of keys and scores; returns their entries of the index by array."""
+    shapes = {"keys": (scores.rows,), "scores": (scores.rows, scores.width)}
     paths = {name: folder / f"{source}.{name}.npy" for name in shapes}
-    files = {name: path.open("wb") for name, path in paths.items()}
-    try:
-        for name, file in files.items():
-            _write_header(file, dtypes[name], shapes[name])
-        _append_chunks(source, scores, files)
-    finally:
-        for file in files.values():
-            file.close()
+    with paths["keys"].open("wb") as keys, paths["scores"].open("wb") as values:
+        _write_header(keys, ARRAYS["keys"][0], shapes["keys"])
+        _write_header(values, ARRAYS["scores"][0], shapes["scores"])
+        _append_chunks(source, scores, keys, values)
     return {name: _entry(path, scores.rows) for name, path in paths.items()}
 
 
-def halve(
-    scores: NDArray[np.float32],
-) -> tuple[NDArray[np.float16], NDArray[np.float32]]:
-    """Scores ``[n, R⁺]`` as float16 distances to their row's maximum, and the maxima ``[n]``.
-
-    Only the maximum itself becomes 0, so that no argmax is flipped.
-    """
-    maxima = scores.max(axis=1)
-    distances = scores.astype(np.float64) - maxima[:, np.newaxis]
-    halves = np.maximum(distances, float(_LOWEST)).astype(np.float16)
-    return np.where(distances < 0, np.minimum(halves, -_SMALLEST), halves), maxima
-
-
-def _append_chunks(source: str, scores: ScoreChunks, files: Mapping[str, BinaryIO]) -> None:
+def _append_chunks(
+    source: str, scores: ScoreChunks, key_file: BinaryIO, score_file: BinaryIO
+) -> None:
     rows, last = 0, -1
     for keys, values in scores.chunks:
         if len(keys) == 0:
@@ -140,12 +200,8 @@ def _append_chunks(source: str, scores: ScoreChunks, files: Mapping[str, BinaryI
                 "run `roomtables build --full-refresh`"
             )
         rows, last = rows + len(keys), int(keys[-1])
-        arrays: dict[str, NDArray[Any]] = {"keys": keys, "scores": values}
-        if scores.half:
-            arrays["scores"], arrays["maxima"] = halve(values)
-        for name, array in arrays.items():
-            dtype = ARRAYS[name][0][1 if scores.half and name == "scores" else 0]
-            files[name].write(np.ascontiguousarray(array, dtype=dtype).data)
+        key_file.write(np.ascontiguousarray(keys, dtype=ARRAYS["keys"][0]).data)
+        score_file.write(np.ascontiguousarray(values, dtype=ARRAYS["scores"][0]).data)
     if rows != scores.rows:
         raise StoreError(
             f"query_scores of source {source} hold {rows} rows, not {scores.rows}; "
@@ -161,105 +217,13 @@ def _write_header(file: BinaryIO, dtype: str, shape: tuple[int, ...]) -> None:
 
 def _write_array(folder: Path, source: str, name: str, array: NDArray[Any]) -> dict[str, Any]:
     path = folder / f"{source}.{name}.npy"
-    np.save(path, np.ascontiguousarray(array, dtype=ARRAYS[name][0][0]), allow_pickle=False)
+    np.save(path, np.ascontiguousarray(array, dtype=ARRAYS[name][0]), allow_pickle=False)
     return _entry(path, len(array))
 
 
 def _entry(path: Path, rows: int) -> dict[str, Any]:
     """What the index says of a file."""
-    size = path.stat().st_size
+    facts = FileFacts.of(path)
     with path.open("rb") as file:
-        return {
-            "file": path.name,
-            "bytes": size,
-            "rows": rows,
-            "sha256": hashlib.file_digest(file, "sha256").hexdigest(),
-            "sample_sha256": sampled_sha256(file, size),
-        }
-
-
-_BATCH = 8192  # combinations in memory at once
-
-
-def derive_lookup(
-    connection: duckdb.DuckDBPyConnection,
-    version: Path,
-    folder: Path,
-    labels: LabelSpace,
-    settings: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Write ``lookup/`` of a version; returns what its manifest has to say of it.
-
-    The small tables come from the connection, the scores from the version's Parquet file, as it
-    was written: sorted by source and key.
-
-    Raises
-    ------
-    StoreError
-        ``query_scores`` is not sorted by key.
-    """
-    found = connection.execute("select distinct source from cooccurrence order by source")
-    width = len(labels.predicted_rooms)
-    sources = {
-        source: (
-            _small_arrays(connection, source, labels),
-            read_scores(version / "query_scores.parquet", source, width),
-        )
-        for (source,) in found.fetchall()
-    }
-    return write_lookup(folder, labels, settings, sources)
-
-
-def read_scores(path: Path, source: str, width: int) -> ScoreChunks:
-    """One source's rows of a ``query_scores`` file, in its order, a batch at a time."""
-    rows = sum(len(batch) for batch in _batches(path, source, ["source"]))
-    return ScoreChunks(rows, width, _chunks(path, source, width))
-
-
-def _chunks(
-    path: Path, source: str, width: int
-) -> Iterator[tuple[NDArray[np.uint64], NDArray[np.float32]]]:
-    for batch in _batches(path, source, ["source", "key", "scores"]):
-        scores = batch.column("scores").flatten().to_numpy(zero_copy_only=False)
-        keys = batch.column("key").to_numpy(zero_copy_only=False)
-        yield keys, scores.astype(np.float32, copy=False).reshape(-1, width)
-
-
-def _batches(path: Path, source: str, columns: list[str]) -> Iterator[pa.RecordBatch]:
-    with pq.ParquetFile(path, memory_map=False, pre_buffer=False) as file:
-        for batch in file.iter_batches(_BATCH, columns=columns, use_threads=False):
-            chosen = batch.filter(pc.equal(batch.column("source"), source))
-            if len(chosen):
-                yield chosen
-
-
-def _small_arrays(
-    connection: duckdb.DuckDBPyConnection, source: str, labels: LabelSpace
-) -> dict[str, NDArray[Any]]:
-    evidence = "score" if source == PROXY else "ln(p_room_given_object)"
-    room_logits = _column(
-        connection,
-        f"select case when p_room_given_object > 0 then {evidence} else '-inf'::double end "
-        "from cooccurrence where source = ? order by object, room",
-        source,
-    )
-    # Compared as numbers; the tables hold each room's bias once, whatever the source.
-    bias = _column(
-        connection, "select bias_nats from room_bias where source = ? order by room", source
-    )
-    return {
-        "entropy": _column(
-            connection, "select entropy_nats from entropy where source = ? order by object", source
-        ),
-        "ranks": _column(
-            connection, "select rank from entropy where source = ? order by object", source
-        ),
-        "room_logits": room_logits.reshape(len(labels.objects), len(labels.rooms)),
-        "bias": bias if len(bias) else np.zeros(len(labels.predicted_rooms)),
-    }
-
-
-def _column(connection: duckdb.DuckDBPyConnection, query: str, source: str) -> NDArray[Any]:
-    """The one column of a query, as an array."""
-    (values,) = connection.execute(query, [source]).fetchnumpy().values()
-    return np.asarray(values)
+        sample = sampled_sha256(file, facts.bytes)
+    return {"file": path.name, "rows": rows, **asdict(facts), "sample_sha256": sample}

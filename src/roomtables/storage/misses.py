@@ -25,7 +25,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomtables.storage.versions import write_aside
+from roomtables.storage.files import write_aside
 
 log = logging.getLogger(__name__)
 

@@ -10,11 +10,13 @@ import json
 import os
 import shutil
 from collections.abc import Sequence
+from copy import copy
 from pathlib import Path
 
 import duckdb
 import pyarrow as pa
 
+from roomtables.schemas import literal
 from roomtables.scorer import SentenceScore
 from roomtables.storage.files import is_held, refuse_outside, writing
 from roomtables.storage.score_parts import (
@@ -35,11 +37,6 @@ NO_SCORES = (
 _RUN = ".run-"
 # Parts with more rows than this are merged no further.
 COMPACT_ROWS = 50_000_000
-
-
-def quote(text: str | Path) -> str:
-    """A string literal of SQL."""
-    return "'" + str(text).replace("'", "''") + "'"
 
 
 class SentenceCache:
@@ -150,8 +147,7 @@ class SentenceCache:
 
     def run_folder(self) -> SentenceCache:
         """A cache of its own inside the folder, for workers whose parts are adopted later."""
-        inner = SentenceCache.__new__(SentenceCache)
-        inner.scorer_id = self.scorer_id
+        inner = copy(self)
         inner.folder = self.folder.resolve() / f"{_RUN}{os.getpid()}"
         inner._generation = self._retiring()
         return inner
@@ -191,8 +187,8 @@ class SentenceCache:
         with writing(self.folder):
             try:
                 connection.execute(
-                    f"copy ({select}) to {quote(aside)} (format parquet, compression zstd, "
-                    f"kv_metadata {{{FOOTER_KEY}: {quote(footer)}}})"
+                    f"copy ({select}) to {literal(aside)} (format parquet, compression zstd, "
+                    f"kv_metadata {{{FOOTER_KEY}: {literal(footer)}}})"
                 )
                 settle(aside)
                 self._generation = None
@@ -205,5 +201,5 @@ def select_parts(parts: Sequence[Part]) -> str:
     """A SELECT of the rows of some parts."""
     if not parts:
         return NO_SCORES
-    files = ", ".join(quote(part.path) for part in parts)
+    files = ", ".join(literal(part.path) for part in parts)
     return f"select * from read_parquet([{files}])"

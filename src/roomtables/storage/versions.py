@@ -12,59 +12,24 @@ file. This module needs no pyarrow and no duckdb.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from roomtables.errors import StoreError
-from roomtables.schemas import SCHEMA_VERSION
-from roomtables.storage.files import check_name, is_held, refuse_outside, writing
+from roomtables.storage.files import check_name, is_held, refuse_outside, write_aside, writing
+from roomtables.storage.manifest import FileFacts, Manifest, ManifestError, SchemaVersionError
 
 MANIFEST = "manifest.json"
 CURRENT = "CURRENT"
 LOOKUP = "lookup"
 KEPT_VERSIONS = 2
 _STAGING = ".staging-"
-
-
-def write_aside(path: Path, data: bytes) -> None:
-    """Replace a file atomically: a reader sees the old content or the new, never a part."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with aside.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(aside, path)
-    except OSError as error:
-        aside.unlink(missing_ok=True)
-        raise StoreError(f"cannot write {path}: {error.strerror}") from error
-
-
-def file_facts(path: Path) -> dict[str, Any]:
-    """Size and SHA-256 of a file, as a manifest notes them."""
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return {"bytes": path.stat().st_size, "sha256": digest}
-
-
-class _Manifest(dict[str, Any]):
-    """What a manifest holds; a key that it lacks is damage, and said to be."""
-
-    def __init__(self, content: Mapping[str, Any], path: Path) -> None:
-        super().__init__(content)
-        self._path = path
-
-    def __missing__(self, key: str) -> Any:
-        raise StoreError(
-            f"{self._path} is damaged: it lacks {key!r}; run `roomtables build --full-refresh`"
-        )
+_KEPT = "what is scored is kept"
 
 
 @dataclass(frozen=True)
@@ -72,16 +37,11 @@ class Version:
     """One published version: its folder and its manifest."""
 
     path: Path
-    manifest: Mapping[str, Any]
+    manifest: Manifest
 
     @property
     def name(self) -> str:
         return self.path.name
-
-    @property
-    def created(self) -> datetime:
-        """When the version was published, in UTC."""
-        return datetime.fromisoformat(self.manifest["created"])
 
     def verify(self) -> None:
         """Compare every file with the size and the hash that the manifest notes.
@@ -91,39 +51,67 @@ class Version:
         StoreError
             A file is missing, cut, or has a bit flipped; the message names it.
         """
-        for name, noted in self.manifest.get("files", {}).items():
+        for name, noted in self.manifest.files.items():
             path = self.path / name
-            if not path.is_file() or file_facts(path) != noted:
+            if not path.is_file() or FileFacts.of(path) != noted:
                 raise StoreError(f"{path} is damaged; run `roomtables build` to make it again")
 
     @classmethod
-    def open(cls, path: Path) -> Version:
-        """The version in a folder.
+    def open(cls, path: Path, sha256: str | None = None) -> Version:
+        """The version in a folder; ``sha256`` is its manifest's hash, where that is known.
 
         Raises
         ------
         StoreError
-            Its manifest is missing, damaged, or of another schema version.
+            Its manifest is missing, damaged, another than the hash says, or of another schema
+            version.
         """
         manifest_path = path / MANIFEST
         refuse_outside(path.parent.parent, path, manifest_path, path / LOOKUP)
         try:
-            manifest = json.loads(manifest_path.read_bytes())
-            schema_version = manifest["schema_version"]
+            content = manifest_path.read_bytes()
         except OSError as error:
             raise StoreError(
                 f"cannot read {manifest_path}: {error.strerror}; run `roomtables build`"
             ) from error
-        except (ValueError, KeyError, TypeError) as error:
+        try:
+            manifest = Manifest.from_bytes(content)
+        except SchemaVersionError as error:
+            raise StoreError(f"{path}: {error}; run `roomtables build`: {_KEPT}") from error
+        except ManifestError as error:
             raise StoreError(
-                f"{manifest_path} is damaged; run `roomtables build --full-refresh`"
+                f"{manifest_path} is damaged ({error}); run `roomtables build`: {_KEPT}"
             ) from error
-        if schema_version != SCHEMA_VERSION:
+        if sha256 not in {None, hashlib.sha256(content).hexdigest()}:
             raise StoreError(
-                f"{path} has schema version {schema_version}, this roomtables reads "
-                f"{SCHEMA_VERSION}; run `roomtables build`"
+                f"{manifest_path} is not the one that {CURRENT} names; "
+                f"run `roomtables build`: {_KEPT}"
             )
-        return cls(path, _Manifest(manifest, manifest_path))
+        return cls(path, manifest)
+
+
+class Pointer(NamedTuple):
+    """What ``CURRENT`` says: the version's name, and the SHA-256 of its manifest.
+
+    Tables of the schema before had no hash there: ``sha256`` is then empty.
+    """
+
+    name: str
+    sha256: str
+
+    @classmethod
+    def of(cls, version: Path) -> Pointer:
+        """The pointer to a version whose manifest is written."""
+        return cls(version.name, FileFacts.of(version / MANIFEST).sha256)
+
+    @classmethod
+    def parse(cls, text: str) -> Pointer:
+        name, _, sha256 = text.strip().partition(" ")
+        return cls(name, sha256)
+
+    def to_bytes(self) -> bytes:
+        """The line that ``CURRENT`` holds."""
+        return f"{self.name} {self.sha256}\n".encode()
 
 
 class SpaceFolder:
@@ -145,7 +133,7 @@ class SpaceFolder:
         pointer = self.path / CURRENT
         refuse_outside(self.path.parent, self.path, pointer)
         try:
-            name = pointer.read_text(encoding="utf-8").strip()
+            name, sha256 = Pointer.parse(pointer.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise StoreError(
                 f"no tables for {self.labels} in {self.path.parent}{self._others()}; "
@@ -158,7 +146,12 @@ class SpaceFolder:
             raise StoreError(
                 f"{pointer} names {name!r}, which is not there; run `roomtables build`"
             )
-        return Version.open(version)
+        if not sha256:
+            Version.open(version)  # says which schema version it has
+            raise StoreError(
+                f"{pointer} lacks its manifest's hash; run `roomtables build`: {_KEPT}"
+            )
+        return Version.open(version, sha256)
 
     def pointer(self) -> bytes:
         """What ``CURRENT`` says now; nothing where there is none."""
@@ -166,6 +159,15 @@ class SpaceFolder:
             return (self.path / CURRENT).read_bytes()
         except OSError:
             return b""
+
+    def named_by_current(self) -> Path | None:
+        """The folder that ``CURRENT`` names, whether or not it can be opened."""
+        try:
+            name = Pointer.parse(self.pointer().decode()).name
+        except UnicodeDecodeError:
+            return None
+        path = self.path / name
+        return path if name and Path(name).name == name and path.is_dir() else None
 
     def published(self) -> Version | None:
         """The published version, or ``None`` where nothing usable is published."""
@@ -185,21 +187,22 @@ class SpaceFolder:
         numbers = [int(n) for path in self.versions() if (n := path.name.split("-")[0]).isdigit()]
         return f"{max(numbers, default=0) + 1:06d}-{fingerprint[:8]}"
 
-    def publish(self, staging: Path, name: str, manifest: Mapping[str, Any]) -> Version:
+    def publish(self, staging: Path, name: str, manifest: Manifest) -> Version:
         """Write the manifest, move the staged folder into place, and point ``CURRENT`` at it."""
         target = self.path / name
         if target.exists():
             raise StoreError(f"{target} exists already; run `roomtables gc`, then build again")
-        text = json.dumps(manifest, indent=2, sort_keys=True, ensure_ascii=False)
-        write_aside(staging / MANIFEST, text.encode())
+        write_aside(staging / MANIFEST, manifest.to_bytes())
         with writing(target):
             os.replace(staging, target)
         return self.point_at(target)
 
     def point_at(self, version: Path) -> Version:
         """Make a version the published one."""
-        write_aside(self.path / CURRENT, f"{version.name}\n".encode())
-        return Version.open(version)
+        pointer = Pointer.of(version)
+        opened = Version.open(version, pointer.sha256)
+        write_aside(self.path / CURRENT, pointer.to_bytes())
+        return opened
 
     def named(self, name: str) -> Version:
         """The version of a name.
@@ -257,11 +260,10 @@ class SpaceFolder:
         Returns the names of those removed. A manifest goes first: what is half removed is no
         version any more.
         """
-        current = self.published()
+        current = self.named_by_current()
         removed = []
         for path in self.versions()[: -max(keep, 1)]:
-            kept = current is not None and path == current.path
-            if not kept and not path.is_symlink() and not is_held(path):
+            if path != current and not path.is_symlink() and not is_held(path):
                 with writing(path):
                     (path / MANIFEST).unlink()
                     shutil.rmtree(path)

@@ -11,13 +11,9 @@ from typing import Any
 
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
-from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES
+from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES, literal
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.versions import Version
-
-
-def _literal(text: Path | str) -> str:
-    return "'" + str(text).replace("'", "''") + "'"
 
 
 def connect(tables: Path, version: Version, database: Path | str = ":memory:") -> Any:
@@ -34,7 +30,7 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
         _view(
             connection,
             name,
-            f"select * from read_parquet({_literal(path)})",
+            f"select * from read_parquet({literal(path)})",
             TABLE_BY_NAME[name].grain,
         )
     _sentence_scores(connection, tables)
@@ -44,7 +40,7 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
         _view(connection, path.stem, text, _described(text))
     for path in sorted((pipeline_folder() / "macros").glob("*.sql")):
         connection.execute(path.read_text(encoding="utf-8"))
-    connection.execute(f"set allowed_directories = [{_literal(tables.resolve())}]")
+    connection.execute(f"set allowed_directories = [{literal(tables.resolve())}]")
     connection.execute("set enable_external_access = false")
     connection.execute("set lock_configuration = true")
     return connection
@@ -65,7 +61,7 @@ def guide(connection: Any) -> list[dict[str, str]]:
 
 def _view(connection: Any, name: str, query: str, comment: str) -> None:
     connection.execute(f"create view {name} as {query}")
-    connection.execute(f"comment on view {name} is {_literal(comment)}")
+    connection.execute(f"comment on view {name} is {literal(comment)}")
 
 
 def _described(text: str) -> str:
@@ -95,7 +91,7 @@ def _sentence_scores(connection: Any, tables: Path) -> None:
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
     table = TABLE_BY_NAME["sentence_scores"]
     empty = ", ".join(f"null::{c.type} as {c.name}" for c in table.columns)
-    files = ", ".join(_literal(part.resolve()) for part in parts)
+    files = ", ".join(literal(part.resolve()) for part in parts)
     held = f"select * from read_parquet([{files}])" if parts else f"select {empty} where false"
     _view(connection, table.name, held, table.grain)
 

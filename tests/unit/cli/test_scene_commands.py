@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
@@ -176,6 +177,47 @@ def test_label_real_graphs_in_either_encoding(
     ]
 
 
+@pytest.mark.parametrize(
+    ("first_key", "padding"),
+    [("SPARK_DSG_header", 0), ("robot", 0), ("SPARK_DSG_header", 100_000)],
+    ids=["known", "unknown", "large"],
+)
+@pytest.mark.parametrize("command", ["classify", "label", "rooms", "show"])
+def test_a_graph_is_decoded_once(
+    scene: Path,
+    tables: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    first_key: str,
+    padding: int,
+) -> None:
+    """Also where its one line must be decoded to tell it from JSON lines."""
+    document = {first_key: {}, **json.loads(scene.read_text()), "padding": "x" * padding}
+    scene.write_text(json.dumps(document))
+    decoded = []
+    loads = json.loads
+
+    def counting(*arguments: Any, **options: Any) -> Any:
+        value = loads(*arguments, **options)
+        decoded.append(isinstance(value, dict) and "nodes" in value)
+        return value
+
+    monkeypatch.setattr(json, "loads", counting)
+    options = ("--tables", tables, "--labels", "flat", "--offline")
+    arguments = {
+        "classify": ("--input", scene, *options),
+        "label": (scene, "-o", tmp_path / "out.json", *options),
+        "rooms": (scene,),
+        "show": (scene, "-o", tmp_path / "out.svg", *options),
+    }
+    if command == "show":
+        pytest.importorskip("matplotlib")
+    result = run(command, *arguments[command])
+    assert result.exit_code == 0, result.output
+    assert sum(decoded) == 1
+
+
 def test_classify_takes_scenes(scene: Path, house: Path, tables: Path) -> None:
     options = ("--tables", tables, "--labels", "flat", "--offline", "--format", "jsonl")
     found = lines(run("classify", "--input", scene, *options))
@@ -186,34 +228,31 @@ def test_classify_takes_scenes(scene: Path, house: Path, tables: Path) -> None:
     assert [r["room"] for r in lines(run("classify", "--input", house, *options))] == ["bedroom"]
 
 
-@pytest.mark.parametrize("suffix", [".html", ".svg", ".png"])
-def test_show_draws_right_and_wrong(scene: Path, tables: Path, tmp_path: Path, suffix: str) -> None:
+def test_show_draws_right_and_wrong(scene: Path, tables: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "scene.html"
+    result = run("show", scene, "-o", out, "--tables", tables, "--labels", "flat", "--offline")
+    assert result.exit_code == 0, result.output
+    text = out.read_text()
+    picture = text[text.index("<svg") : text.index("</svg>")]
+    for shown in ("R1", "kitchen", "(true: office)", "Bed"):
+        assert shown in picture
+    assert "src=" not in text
+    assert "href=" not in text.replace('xlink:href="#', "")
+    assert '<tr style="color:#1b7f3b"><td>R0</td><td>bedroom</td>' in text
+    assert '<tr style="color:#c0392b"><td>R1</td><td>kitchen</td>' in text
+
+
+@pytest.mark.parametrize(("suffix", "begins"), [(".svg", b"<?xml"), (".png", b"\x89PNG")])
+def test_show_without_tables_draws_the_truth(
+    scene: Path, tmp_path: Path, suffix: str, begins: bytes
+) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / f"scene{suffix}"
-    options = ("--tables", tables, "--labels", "flat", "--offline")
-    result = run("show", scene, "-o", out, *options)
-    assert result.exit_code == 0, result.output
-    content = out.read_bytes()
-    if suffix == ".png":
-        assert content.startswith(b"\x89PNG")
-        return
-    text = content.decode()
-    assert "R1" in text
-    assert "kitchen" in text
-    assert "(true: office)" in text
-    assert "Bed" in text
-    if suffix == ".html":
-        assert "src=" not in text
-        assert "href=" not in text.replace('xlink:href="#', "")
-        assert '<tr style="color:#1b7f3b"><td>R0</td><td>bedroom</td>' in text
-        assert '<tr style="color:#c0392b"><td>R1</td><td>kitchen</td>' in text
-
-
-def test_show_without_tables_draws_the_truth(scene: Path, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    result = run("show", scene, "-o", tmp_path / "s.svg", "--tables", tmp_path / "none")
+    result = run("show", scene, "-o", out, "--tables", tmp_path / "none")
     assert result.exit_code == 0, result.output
     assert "warning: drawn without answers" in result.stderr
+    assert out.read_bytes().startswith(begins)
 
 
 def test_show_refuses_other_pictures_and_scenes_without_places(

@@ -5,34 +5,35 @@ import json
 import pytest
 
 from roomtables import RoomTables, build, evaluate
-from roomtables.evaluation.comparison import sweep
+from roomtables.evaluation.comparison import EVIDENCE_POWERS, sweep
 
 
 @pytest.fixture(scope="module")
-def data(shared_data):
-    return shared_data / "matterport3d"
+def tables(gpt_j_folder):
+    return RoomTables.open(gpt_j_folder, offline=True)
 
 
 @pytest.fixture(scope="module")
-def tables(data, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("gpt-j")
+def mean_tables(matterport, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gpt-j-mean")
     build(
         tables=folder,
-        counts=data / "mpcat40_room_object_counts.csv",
-        scores=data / "mpcat40_gpt_j_mean_log_prob.csv",
+        counts=matterport / "mpcat40_room_object_counts.csv",
+        scores=matterport / "mpcat40_gpt_j_mean_log_prob.csv",
         combinations="none",
+        reduction="mean",
     )
     return RoomTables.open(folder, offline=True)
 
 
-def test_pooled_proxy_at_the_defaults(tables, data):
-    found = evaluate(data / "mpcat40_rooms_test.jsonl", tables.deciding(rule="pooled"))
+def test_pooled_proxy_at_the_defaults(tables, matterport):
+    found = evaluate(matterport / "mpcat40_rooms_test.jsonl", tables.deciding(rule="pooled"))
     assert (found.correct, found.rooms) == (307, 523)
     assert found.as_json()["answered_by"] == {"table": 523}
 
 
-def test_the_sweep_is_the_known_table(tables, data):
-    points = sweep(data / "mpcat40_rooms_test.jsonl", tables).points
+def test_the_sweep_is_the_known_table(tables, matterport):
+    points = sweep(matterport / "mpcat40_rooms_test.jsonl", tables).points
     grid = {
         (p.prior_weight, p.evidence_power): round(100 * p.accuracy, 1)
         for p in points
@@ -48,27 +49,33 @@ def test_the_sweep_is_the_known_table(tables, data):
     assert counted.keys() == {None, 1, 2, 3}
 
 
-def test_naive_products_of_the_single_object_scores(tables, data):
-    """Σ L over the k most informative objects and over all: λ = 0, γ = 0."""
-    rooms = data / "mpcat40_rooms_test.jsonl"
+def test_a_sweep_does_not_vary_what_has_no_effect_on_counts(tables, matterport):
+    points = sweep(matterport / "mpcat40_rooms_test.jsonl", tables).points
+    grid = [p for p in points if p.source == "ground_truth" and p.k is None]
+    assert [p.evidence_power for p in grid] == list(EVIDENCE_POWERS)
+    assert {p.prior_weight for p in grid} == {None}
+
+
+def test_naive_products_of_the_single_object_scores(tables, matterport):
+    """λ = 0 and γ = 0: Σ L over all of a room's objects."""
+    rooms = matterport / "mpcat40_rooms_test.jsonl"
     naive = tables.deciding(rule="pooled", prior_weight=0.0, evidence_power=0.0)
     assert round(100 * evaluate(rooms, naive).accuracy, 1) == 45.5
     counts = naive.deciding(source="ground_truth")
     assert round(100 * evaluate(rooms, counts).accuracy, 1) == 49.3
 
 
+@pytest.mark.parametrize("rule", ["query", "pooled"])
 @pytest.mark.parametrize(("source", "name"), [("ground_truth", "ground_truth"), ("proxy", "gpt_j")])
-def test_the_selection_of_objects_is_the_authors(data, tmp_path, source, name):
+def test_the_selection_of_objects_is_the_authors(matterport, mean_tables, source, name, rule):
     """523 of 523 rooms, with the mean per token that the authors' released code uses."""
-    build(
-        tables=tmp_path,
-        counts=data / "mpcat40_room_object_counts.csv",
-        scores=data / "mpcat40_gpt_j_mean_log_prob.csv",
-        combinations="none",
-        reduction="mean",
-    )
-    tables = RoomTables.open(tmp_path, source=source, offline=True)
-    rooms = [json.loads(line) for line in (data / "mpcat40_rooms_test.jsonl").open()]
-    expected = [json.loads(line) for line in (data / "mpcat40_expected_selection.jsonl").open()]
-    found = tables.classify_many([room["objects"] for room in rooms])
+    rooms = read(matterport / "mpcat40_rooms_test.jsonl")
+    expected = read(matterport / "mpcat40_expected_selection.jsonl")
+    opened = mean_tables.deciding(source=source, rule=rule)
+    found = opened.classify_many([room["objects"] for room in rooms])
+    assert len(rooms) == 523
     assert [list(p.objects) for p in found] == [row[name] for row in expected]
+
+
+def read(path):
+    return [json.loads(line) for line in path.read_text().splitlines()]

@@ -52,6 +52,17 @@ def test_mcnemar_by_hand():
     assert found.p_value == pytest.approx(2 * 11 / 1024)
 
 
+@given(st.integers(0, 40), st.integers(0, 40))
+def test_mcnemar_is_the_two_sided_binomial_test(only_first, only_second):
+    differing = only_first + only_second
+    tail = sum(math.comb(differing, n) for n in range(min(only_first, only_second) + 1))
+    first = [True] * only_first + [False] * only_second + [True]
+    second = [False] * only_first + [True] * only_second + [True]
+    found = mcnemar(first, second)
+    assert (found.only_first, found.only_second) == (only_first, only_second)
+    assert found.p_value == pytest.approx(min(1.0, 2 * tail / 2**differing))
+
+
 @given(OUTCOMES)
 def test_mcnemar_of_equals_is_no_difference(outcomes):
     assert mcnemar(outcomes, outcomes).p_value == 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ import pytest
 import torch
 import transformers
 from tokenizers import Tokenizer
+
+from roomtables.lm.scorer import using_threads
 
 OBJECTS = ("beds", "toilets", "sinks", "towels", "ovens", "washing machines", "armchairs")
 ROOMS = ("bathroom", "bedroom", "kitchen", "laundry room", "living room", "rec/game room")
@@ -169,6 +171,13 @@ def save_model(
     model.save_pretrained(folder)
     tokenizer.save_pretrained(folder)
     return folder
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread() -> Iterator[None]:
+    """Products of tiny models are shorter than the wait for a second thread of a busy machine."""
+    with using_threads(1):
+        yield
 
 
 @pytest.fixture(scope="session")

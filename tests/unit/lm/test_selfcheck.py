@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 import torch
+from transformers import DynamicCache, GPT2LMHeadModel
 
 from roomtables.errors import ModelError
-from roomtables.lm import load_scorer, strategies
-from roomtables.lm.strategies import DynamicCache
+from roomtables.lm import load_scorer
 from unit.lm.conftest import room_sentences, save_model
 from unit.lm.naive import causal_scores
 
@@ -35,25 +35,27 @@ def check_scores(folder: Path, strategy: str) -> Any:
 
 
 def break_mask(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let nodes see all earlier columns: the mask that an architecture might ignore."""
-    right = strategies._ancestor_mask
+    """An architecture that ignores a packed mask: nodes see all earlier columns."""
+    right = GPT2LMHeadModel.forward
 
-    def blind(forward: Any, end: Any) -> Any:
-        return right(forward, end * 0 + end.shape[1])
+    def blind(self: Any, *arguments: Any, attention_mask: Any = None, **inputs: Any) -> Any:
+        if attention_mask is not None and attention_mask.dim() == 4:
+            attention_mask = None
+        return right(self, *arguments, attention_mask=attention_mask, **inputs)
 
-    monkeypatch.setattr(strategies, "_ancestor_mask", blind)
+    monkeypatch.setattr(GPT2LMHeadModel, "forward", blind)
 
 
 def break_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forget the prefix: the cache that an architecture might not use."""
+    """An architecture that does not use its cache: the prefix is forgotten."""
+    right = DynamicCache.batch_repeat_interleave
 
-    class Forgetful(DynamicCache):
-        def batch_repeat_interleave(self, repeats: int) -> None:
-            super().batch_repeat_interleave(repeats)
-            for layer in self.layers:
-                layer.values = torch.zeros_like(layer.values)
+    def forgetful(self: Any, repeats: int) -> None:
+        right(self, repeats)
+        for layer in self.layers:
+            layer.values = torch.zeros_like(layer.values)
 
-    monkeypatch.setattr(strategies, "DynamicCache", Forgetful)
+    monkeypatch.setattr(DynamicCache, "batch_repeat_interleave", forgetful)
 
 
 def test_wrong_mask_falls_back_to_key_value(

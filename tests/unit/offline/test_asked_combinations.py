@@ -113,10 +113,10 @@ def test_without_a_published_version_misses_alone_are_built(
 
 
 def test_ranked_takes_the_most_informative_of_a_wider_combination() -> None:
-    asked = Asked({"proxy": np.array([[1, 2, 3], [2, 0, 0], [1, 3, 0]])})
+    asked = Asked(by_source={"proxy": np.array([[1, 2, 3], [2, 0, 0], [1, 3, 0]])})
     ranks = [3, 1, 2]  # of objects 1, 2, 3
-    assert asked.ranked("proxy", ranks, 2).tolist() == [[1, 2], [1, 0], [2, 3]]
-    assert asked.ranked("proxy", ranks, 4).tolist() == [[1, 2, 3, 0], [1, 0, 0, 0], [2, 3, 0, 0]]
+    assert asked.ranked("proxy", ranks, 2).tolist() == [[1, 0], [1, 2], [2, 3]]
+    assert asked.ranked("proxy", ranks, 4).tolist() == [[1, 0, 0, 0], [1, 2, 3, 0], [2, 3, 0, 0]]
     assert asked.ranked("ground_truth", ranks, 2).shape == (0, 2)
 
 
@@ -175,4 +175,4 @@ def test_plan_counts_the_misses(tmp_path: Path, options: dict[str, object]) -> N
     MissLog(tmp_path / "small" / "misses").note("proxy", [("sink", "stove")])
     found = plan(scorer=HashScorer(), **options | {"combinations": "misses"})
     assert found.sentences_to_score == 3
-    assert found.coverage.asked == 3
+    assert found.coverage.held == 3

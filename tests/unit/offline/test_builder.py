@@ -6,12 +6,14 @@ from itertools import combinations
 
 import duckdb
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
-from roomtables import build
-from roomtables.errors import InputError, ModelError, StoreError
+from roomtables import RoomTables, build
+from roomtables.config import pipeline_folder
+from roomtables.errors import InputError, LabelSpaceError, ModelError, StoreError
 from roomtables.labels import LabelSpace
-from roomtables.offline import stages
+from roomtables.offline import builder
 from roomtables.scorer import SentenceScore
 from roomtables.sentences import Template
 from roomtables.storage.lookup import Lookup, pack_keys
@@ -79,7 +81,7 @@ def test_query_scores_hold_every_combination(tmp_path, labels, counts):
         ranked = [r[1] for r in table(tmp_path, "entropy", "source, rank") if r[0] == source]
         rows = {
             tuple(objects): (key, scores)
-            for found, key, objects, scores in table(tmp_path, "query_scores", "key")
+            for found, key, objects, *scores in table(tmp_path, "query_scores", "key")
             if found == source
         }
         expected = [c for size in (1, 2, 3) for c in combinations(ranked, size)]
@@ -99,7 +101,7 @@ def test_the_twin_is_the_tables(tmp_path, labels, counts):
     for source, arrays in lookup.sources.items():
         rows = [r for r in table(tmp_path, "query_scores", "source, key") if r[0] == source]
         assert arrays.keys.tolist() == [row[1] for row in rows]
-        np.testing.assert_array_equal(arrays.scores, np.array([r[3] for r in rows], np.float32))
+        np.testing.assert_array_equal(arrays.scores, np.array([r[3:] for r in rows], np.float32))
         rows = [r for r in table(tmp_path, "entropy", "source, object") if r[0] == source]
         assert arrays.entropy.tolist() == [row[2] for row in rows]
         assert arrays.ranks.tolist() == [row[3] for row in rows]
@@ -159,7 +161,7 @@ def test_combinations_that_rooms_need(tmp_path, labels):
     lines = [{"room_id": "1", "objects": ["sink", "bed", "ghost"]}, {"room_id": "2", "objects": []}]
     rooms.write_text("\n".join(map(json.dumps, lines)))
     build(tables=tmp_path, labels=labels, scorer=HashScorer(), combinations=str(rooms))
-    ((_, _, objects, _),) = table(tmp_path, "query_scores", "key")
+    ((_, _, objects, *_),) = table(tmp_path, "query_scores", "key")
     assert set(objects) == {"sink", "bed"}
 
 
@@ -174,7 +176,7 @@ def test_imported_scores_need_no_model(tmp_path, labels):
     build(tables=tmp_path, labels=labels, scorer=scorer, scores=path, combinations="none")
     assert scorer.asked == []
     manifest = SpaceFolder(tmp_path, "small").current().manifest
-    assert manifest["scorer_id"].startswith("imported-")
+    assert manifest.scorer_id.startswith("imported-")
     rows = table(tmp_path, "cooccurrence", "object, room")
     assert {(row[1], row[2]): row[4] for row in rows} == values
 
@@ -202,9 +204,7 @@ def test_a_failing_check_publishes_nothing(tmp_path, labels, monkeypatch):
     pipeline = tmp_path / "pipeline"
     (pipeline / "checks").mkdir(parents=True)
     (pipeline / "checks" / "never.sql").write_text(rows)
-    for sql in stages.pipeline_folder().glob("*.sql"):
-        (pipeline / sql.name).write_text(sql.read_text())
-    monkeypatch.setattr(stages, "pipeline_folder", lambda: pipeline)
+    monkeypatch.setattr(builder, "pipeline_folder", lambda: pipeline)
     with pytest.raises(StoreError, match=r"check never failed.*'bed'"):
         build(tables=tmp_path, labels=labels, scorer=HashScorer())
     assert SpaceFolder(tmp_path, "small").published() is None
@@ -219,5 +219,76 @@ def test_bad_input_is_found_before_anything_is_scored(tmp_path, labels):
 
 
 def test_every_check_is_one_select():
-    for path in (stages.pipeline_folder() / "checks").glob("*.sql"):
+    for path in (pipeline_folder() / "checks").glob("*.sql"):
         assert len(duckdb.extract_statements(path.read_text())) == 1
+
+
+def test_tables_of_an_older_schema_are_made_anew_from_the_scores(tmp_path, labels):
+    """`build` keeps what is scored, and with `misses` the combinations that were published."""
+    tables = tmp_path / "t"
+    build(tables=tables, labels=labels, scorer=HashScorer(), k=2)
+    space = SpaceFolder(tables, "small")
+    version = space.current()
+    manifest = json.loads((version.path / "manifest.json").read_text())
+    (version.path / "manifest.json").write_text(json.dumps(manifest | {"schema_version": 1}))
+    (space.path / "CURRENT").write_text(f"{version.name}\n")  # as version 1 wrote it
+    with pytest.raises(StoreError, match="schema version 1"):
+        RoomTables.open(tables, "small")
+    scorer = HashScorer()
+    report = build(tables=tables, labels=labels, scorer=scorer, k=2, combinations="misses")
+    assert report.published
+    assert scorer.asked == []
+    assert space.current().manifest.combinations == {"proxy": 4 + 6}
+    assert RoomTables.open(tables, "small", offline=True).classify(["bed"]).answered_by == "table"
+
+
+def test_names_are_what_a_lookup_reads_as_it_stands(tmp_path):
+    folder = tmp_path / "flat"
+    folder.mkdir()
+    (folder / "objects.csv").write_text("object,synonyms\nfridge,refrigerator|ice box\nstairs,\n")
+    (folder / "rooms.csv").write_text("room\nkitchen\n")
+    build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer())
+    rows = table(tmp_path / "t", "names", "name", labels="flat")
+    assert rows == [
+        ("fridge", "fridge", "label"),
+        ("fridges", "fridge", "plural"),
+        ("ice box", "fridge", "synonym"),
+        ("ice boxes", "fridge", "plural"),
+        ("refrigerator", "fridge", "synonym"),
+        ("refrigerators", "fridge", "plural"),
+        ("stair", "stairs", "plural"),
+        ("stairs", "stairs", "label"),
+    ]
+    opened = RoomTables.open(tmp_path / "t", "flat", offline=True)
+    for name, label, _ in rows:
+        assert opened.classify([name]).objects == (label,)
+
+
+@pytest.mark.parametrize("name", ["source", "Key", "objects"])
+def test_a_room_cannot_bear_the_name_of_a_column(tmp_path, name):
+    folder = tmp_path / "flat"
+    folder.mkdir()
+    (folder / "objects.csv").write_text("object\nbed\n")
+    (folder / "rooms.csv").write_text(f"room\n{name}\n")
+    with pytest.raises(LabelSpaceError, match=f"a room cannot be called '{name.lower()}'"):
+        build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer())
+    assert not (tmp_path / "t").exists()
+
+
+def test_a_label_space_cannot_bear_the_name_of_the_scores(tmp_path):
+    labels = str(write_space(tmp_path, small_space("flat")).rename(tmp_path / "scores"))
+    with pytest.raises(LabelSpaceError, match="'scores': the tables folder uses this name"):
+        build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
+
+
+def test_rooms_of_any_name_are_columns(tmp_path):
+    folder = tmp_path / "flat"
+    folder.mkdir()
+    (folder / "objects.csv").write_text("object\nbed\n")
+    (folder / "rooms.csv").write_text('room\n"a ""room"", \'x\'"\nselect\nbed room 2\n')
+    build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer())
+    version = SpaceFolder(tmp_path / "t", "flat").current()
+    names = pq.read_schema(version.path / "query_scores.parquet").names
+    assert names == ["source", "key", "objects", "a \"room\", 'x'", "bed room 2", "select"]
+    opened = RoomTables.open(tmp_path / "t", "flat", offline=True)
+    assert opened.classify(["bed"]).probabilities.keys() == set(names[3:])

@@ -1,3 +1,4 @@
+import json
 from itertools import combinations
 from math import comb
 
@@ -8,23 +9,22 @@ from hypothesis import strategies as st
 
 from roomtables.errors import ConfigError
 from roomtables.offline.combinations import (
+    Asked,
     all_combinations,
     check_key_size,
-    combinations_of_rooms,
-    count_all,
     query_frames,
 )
 from roomtables.sentences import Template
-from roomtables.storage.lookup import pack_keys, unpack_ranks
+from roomtables.storage.lookup import key_bits, pack_keys
+from roomtables.storage.manifest import count_combinations
 from support import small_space
 
 SPACE = small_space()
 BY_RANK = ["toilet", "bed", "stove", "sink"]
-RANKS = {label: rank for rank, label in enumerate(BY_RANK, start=1)}
 
 
 def test_mpcat40_has_7175():
-    assert count_all(35, 3) == 7175 == 35 + comb(35, 2) + comb(35, 3)
+    assert count_combinations(35, 3) == 7175 == 35 + comb(35, 2) + comb(35, 3)
 
 
 @given(st.integers(1, 9), st.integers(1, 4))
@@ -36,7 +36,7 @@ def test_all_combinations_are_those_of_itertools(objects, k):
     }
     found = [tuple(row) for row in all_combinations(objects, k).tolist()]
     assert set(found) == expected
-    assert len(found) == len(expected) == count_all(objects, k)
+    assert len(found) == len(expected) == count_combinations(objects, k)
 
 
 @given(st.integers(1, 8).flatmap(lambda k: st.tuples(st.just(k), st.data())))
@@ -46,19 +46,30 @@ def test_keys_are_reversible_and_order_as_ranks(drawn):
     row = st.lists(st.integers(0, min(biggest, 2**31 - 1)), min_size=k, max_size=k)
     ranks = np.array(data.draw(st.lists(row, min_size=1, max_size=20)), np.int64)
     keys = pack_keys(ranks, k)
-    np.testing.assert_array_equal(unpack_ranks(keys, k), ranks)
+    bits = key_bits(k)
+    unpacked = [
+        [key >> bits * (k - 1 - place) & (1 << bits) - 1 for place in range(k)]
+        for key in keys.tolist()
+    ]
+    assert unpacked == ranks.tolist()
     assert [ranks.tolist()[i] for i in np.argsort(keys, kind="stable")] == sorted(ranks.tolist())
 
 
-def test_what_rooms_need():
+def test_what_rooms_need(tmp_path):
     rooms = [["sink", "Toilets", "ghost"], ["bed", "sink", "stove", "toilet"], [], ["ghost"]]
-    found = combinations_of_rooms(rooms, SPACE, RANKS, 3)
-    assert found.tolist() == [[1, 2, 3], [1, 4, 0]]
+    path = tmp_path / "rooms.jsonl"
+    lines = [json.dumps({"room_id": str(n), "objects": names}) for n, names in enumerate(rooms)]
+    path.write_text("\n".join(lines))
+    asked = Asked.by_file(str(path), SPACE)
+    ranks = [BY_RANK.index(o.label) + 1 for o in SPACE.objects]
+    assert asked.ranked("proxy", ranks, 3).tolist() == [[1, 2, 3], [1, 4, 0]]
 
 
 def test_sentences_follow_the_ranks():
     ranks = np.array([[1, 4, 0]])
-    ((objects, before, after),) = query_frames(ranks, BY_RANK, SPACE, Template())
+    by_label = {o.label: o for o in SPACE.objects}
+    by_rank = [by_label[label] for label in BY_RANK]
+    ((objects, before, after),) = query_frames(ranks, by_rank, Template())
     assert objects == ["toilet", "sink"]
     assert (before, after) == ("A room containing toilets and sinks is called ", ".")
 

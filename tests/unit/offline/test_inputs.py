@@ -93,4 +93,4 @@ def test_the_fingerprint_is_of_the_numbers(tmp_path):
     one = read_counts(file(tmp_path, "object,room,count\nbed,bedroom,3\n"), SPACE)
     same = read_counts(file(tmp_path, "room,object,count\nbedroom,beds,3.0\n", "y.csv"), SPACE)
     other = read_counts(file(tmp_path, "object,room,count\nbed,bedroom,4\n", "z.csv"), SPACE)
-    assert one.fingerprint == same.fingerprint != other.fingerprint
+    assert one.recorded() == same.recorded() != other.recorded()

@@ -8,7 +8,7 @@ from roomtables import build
 from roomtables.config import BuildConfig
 from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
-from roomtables.offline import plan as planning
+from roomtables.offline import stages
 from roomtables.offline.plan import plan
 from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
@@ -95,19 +95,24 @@ def test_another_model(tmp_path, labels):
 
 def test_another_code(tmp_path, labels, monkeypatch):
     agrees(tmp_path / "t", labels=labels)
-    real = planning.stage_sql
-    monkeypatch.setattr(
-        planning, "stage_sql", lambda name: real(name) + ("--" if name == "entropy" else "")
-    )
+    real = stages.stage_sql
+
+    def changed(name):
+        sql = real(name)
+        return f"{sql}--" if name == "entropy" else sql
+
+    monkeypatch.setattr(stages, "stage_sql", changed)
     planned, report = agrees(tmp_path / "t", labels=labels)
     assert report.sentences_scored == 0
     assert states(planned) == {
         "objects": ("cached", ""),
         "rooms": ("cached", ""),
+        "names": ("cached", ""),
         "sentence_scores": ("cached", ""),
         "cooccurrence": ("cached", ""),
         "entropy": ("stale", "code"),
         "room_bias": ("cached", ""),
+        "queries": ("stale", "code"),
         "query_scores": ("stale", "code"),
         "lookup": ("stale", "code"),
     }
@@ -143,7 +148,8 @@ def test_a_removed_part_asks_only_what_it_held(tmp_path, labels):
     (part,) = set((tables / "scores" / "hash@1").glob("part-*")) - {before}
     part.unlink()
     planned, report = agrees(tables, labels=labels)
-    assert states(planned)["sentence_scores"] == ("missing", "removed")
+    assert states(planned)["query_scores"] == ("missing", "removed")
+    assert states(planned)["sentence_scores"] == ("cached", "")
     assert report.sentences_scored == 10 * 3
 
 
@@ -174,7 +180,7 @@ def test_combinations_of_rooms(tmp_path, labels):
     planned, _ = agrees(tmp_path / "t", labels=labels, combinations=str(rooms))
     assert not planned.exact
     assert planned.sentences_to_score == 4 * 4 + 3
-    assert planned.coverage.asked == 1
+    assert planned.coverage.held == 1
     assert planned.coverage.rest_sentences == 13 * 3
 
 

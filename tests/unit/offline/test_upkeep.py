@@ -9,7 +9,8 @@ import pytest
 from roomtables import build
 from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
-from roomtables.offline.upkeep import collect_garbage, compact, compare, roll_back
+from roomtables.offline.diff import compare
+from roomtables.offline.upkeep import collect_garbage, compact, roll_back
 from roomtables.scorer import SentenceScore
 from roomtables.storage.files import held
 from roomtables.storage.score_cache import SentenceCache
@@ -207,10 +208,10 @@ def test_no_folder_is_made_for_upkeep(tables, action):
 
 def test_a_clock_that_goes_backwards(tables, labels, monkeypatch):
     space = make(tables, labels, 1)
-    past = (datetime.now(UTC) - timedelta(days=400)).isoformat(timespec="seconds")
+    past = (datetime.now(UTC) - timedelta(days=400)).replace(microsecond=0)
     monkeypatch.setattr("roomtables.offline.builder.utc_now", lambda: past)
     make(tables, labels, 2)
-    assert space.current().manifest["created"] == past
+    assert space.current().manifest.created == past
     assert space.current().name.startswith("000002-")
     old = datetime.now().timestamp() - 10**8
     for path in tables.rglob("*"):

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from roomtables.errors import InputError
 from roomtables.rooms import Room
 from roomtables.scenes import read_rooms, read_scene
+from roomtables.scenes.dsg import NamedRoom, label_rooms
 from roomtables.scenes.dsg_graph import parse_graph, rooms_of
-from roomtables.scenes.dsg_labels import NamedRoom, label_rooms
 from roomtables.scenes.scene import Box, ReadOptions
 from scene_builders import UNSET, box, graph, node, node_id
 
@@ -293,7 +293,7 @@ def named(document: dict[str, Any], **rooms: str) -> dict[str, Any]:
         key: NamedRoom(label, {label: 0.9, "office": 0.1}, {"rule": "query", "model": "m"})
         for key, label in rooms.items()
     }
-    label_rooms(labelled, parse_graph(labelled, "test"), answers, ["bedroom", "kitchen", "office"])
+    label_rooms(parse_graph(labelled, "test"), answers, ["bedroom", "kitchen", "office"])
     return labelled
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from roomtables.errors import InputError
 from roomtables.scenes import read_rooms, read_scene
-from roomtables.scenes.matterport import Box, HouseObject, Region, region_of, room_frequencies
-from roomtables.scenes.scene import ReadOptions
+from roomtables.scenes.matterport import HouseObject, Region, region_of
+from roomtables.scenes.scene import Box, ReadOptions, room_frequencies
 from scene_builders import House
 
 PAPER_ROOMS = """
@@ -245,8 +245,7 @@ def test_a_file_that_holds_less_than_it_announces_is_reported(tmp_path: Path) ->
 
 def test_category_names_mostly_say_what_matterports_mapping_says(shared_data: Path) -> None:
     """The figure in the warning: instances whose nyuClass the category's name alone gives."""
-    from roomtables.scenes.matterport import Category
-    from roomtables.scenes.matterport_labels import object_namer
+    from roomtables.scenes.matterport_labels import Category, object_namer
 
     mapping = shared_data / "matterport3d" / "category_mapping.tsv"
     by_name = object_namer(ReadOptions(object_labels="nyuclass"))

@@ -10,19 +10,14 @@ import tarfile
 from itertools import combinations
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 from roomtables import RoomTables, build
 from roomtables.cli import main
 from roomtables.errors import InputError, StoreError
 from roomtables.storage.export import export
-from roomtables.storage.lookup_writer import halve
 from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
@@ -54,11 +49,8 @@ def unpack(archive: Path, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["robot.tar.zst", "robot.tar.gz", "robot.tar"])
-@pytest.mark.parametrize("float16", [False, True])
-def test_an_unpacked_archive_answers_the_same(
-    tables: Path, tmp_path: Path, name: str, float16: bool
-) -> None:
-    sizes = export(tables, "small", tmp_path / name, float16)
+def test_an_unpacked_archive_answers_the_same(tables: Path, tmp_path: Path, name: str) -> None:
+    sizes = export(tables, "small", tmp_path / name)
     assert [(s.source, s.combinations, s.rooms) for s in sizes] == [
         ("ground_truth", 14, 3), ("proxy", 14, 3)
     ]  # fmt: skip
@@ -70,11 +62,7 @@ def test_an_unpacked_archive_answers_the_same(
             there = RoomTables.open(folder, "small", source=source, rule=rule, verify=True)
             pairs = zip(here.classify_many(EVERY), there.classify_many(EVERY), strict=True)
             for names, (one, other) in zip(EVERY, pairs, strict=True):
-                assert one.objects == other.objects
-                assert one.probabilities == pytest.approx(other.probabilities, abs=1e-3)
-                assert there.classify(names).as_json() == other.as_json()
-                if rule != "calibrated":
-                    assert one.room == other.room
+                assert one.as_json() == other.as_json() == there.classify(names).as_json()
 
 
 def test_archives_hold_nothing_of_this_machine_and_do_not_change(
@@ -85,35 +73,6 @@ def test_archives_hold_nothing_of_this_machine_and_do_not_change(
     assert (tmp_path / "a.tar").read_bytes() == (tmp_path / "b.tar").read_bytes()
     with tarfile.open(tmp_path / "a.tar") as members:
         assert {(m.uid, m.gid, m.uname, m.gname) for m in members} == {(0, 0, "", "")}
-
-
-@given(
-    arrays.arrays(
-        np.float32,
-        st.tuples(st.integers(1, 20), st.integers(1, 8)),
-        elements=st.floats(-1e6, 0, width=32) | st.floats(-40, -40 + 2**-10, width=32),
-    )
-)
-def test_halving_flips_no_argmax(scores: np.ndarray) -> None:
-    halves, maxima = halve(scores)
-    restored = halves.astype(np.float64) + maxima[:, np.newaxis]
-    assert halves.dtype == np.float16
-    assert np.isfinite(halves).all()
-    np.testing.assert_array_equal(restored.argmax(axis=1), scores.argmax(axis=1))
-    distances = scores.astype(np.float64) - maxima[:, np.newaxis]
-    close = distances > -65504
-    np.testing.assert_allclose(
-        halves[close].astype(np.float64), distances[close], rtol=2**-10, atol=2**-23
-    )
-
-
-def test_half_precision_is_half_the_size(tables: Path, tmp_path: Path) -> None:
-    export(tables, "small", tmp_path / "half.tar", float16=True)
-    folder = unpack(tmp_path / "half.tar", tmp_path / "robot") / "tables"
-    scores = RoomTables.open(folder, "small").lookup.sources["proxy"].scores
-    assert scores.dtype == np.float16
-    sizes = export(folder, "small", tmp_path / "again.tar", float16=True)  # of an export
-    assert sizes[0].combinations == 14
 
 
 def test_the_command_says_the_size_of_each_source(tables: Path, tmp_path: Path) -> None:
@@ -145,7 +104,7 @@ def test_zstd_tools_read_the_archive(tables: Path, tmp_path: Path) -> None:
 
 
 def test_a_robot_without_pyarrow_reads_what_was_unpacked(tables: Path, tmp_path: Path) -> None:
-    export(tables, "small", tmp_path / "robot.tar", float16=True)
+    export(tables, "small", tmp_path / "robot.tar")
     unpack(tmp_path / "robot.tar", tmp_path / "robot")
     code = (
         "import sys\n"

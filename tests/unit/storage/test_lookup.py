@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,12 +17,14 @@ from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
 from roomtables.offline.combinations import all_combinations
 from roomtables.online.batch import ABSENT, ScoreRows
-from roomtables.storage import lookup, lookup_writer
-from roomtables.storage.lookup import Lookup, SourceArrays, key_bits, pack_keys, unpack_ranks
-from roomtables.storage.lookup_writer import ScoreChunks, write_lookup
-from support import HashScorer, small_space, write_space
+from roomtables.storage import lookup
+from roomtables.storage.lookup import Lookup, SourceArrays, pack_keys
+from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup
+from roomtables.storage.manifest import Manifest
+from roomtables.storage.versions import SpaceFolder
+from support import HashScorer, made_manifest, small_space, write_space
 
-SETTINGS = {"k": 3, "template": "{objects} {room}", "reduction": "sum"}
+SETTINGS = LookupSettings(3, ("{objects} {room}",), "sum", "proxy", "query", 0.5, 3.0)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def tables(published: Path, tmp_path: Path) -> Path:
 
 
 def current(tables: Path, labels: str = "small") -> Path:
-    return tables / labels / (tables / labels / "CURRENT").read_text(encoding="utf-8").strip()
+    return SpaceFolder(tables, labels).current().path
 
 
 def test_scores_are_bit_for_bit_those_of_the_table(published: Path) -> None:
@@ -55,7 +56,8 @@ def test_scores_are_bit_for_bit_those_of_the_table(published: Path) -> None:
     for source, arrays in opened.sources.items():
         rows = [row for row in table if row["source"] == source]
         np.testing.assert_array_equal(arrays.keys, np.array([r["key"] for r in rows], np.uint64))
-        expected = np.array([r["scores"] for r in rows], np.float32)
+        rooms = [room.label for room in opened.rooms if room.predicted]
+        expected = np.array([[r[room] for room in rooms] for r in rows], np.float32)
         np.testing.assert_array_equal(
             np.asarray(arrays.scores).view(np.uint32), expected.view(np.uint32)
         )
@@ -98,11 +100,10 @@ def manifest_of_another_label_space(folder: Path) -> None:
     shutil.copy(current(folder.parents[2], "other") / "manifest.json", folder.parent)
 
 
-def other_labels_in_the_manifest(folder: Path) -> None:
+def other_settings_in_the_manifest(folder: Path) -> None:
     path = folder.parent / "manifest.json"
-    manifest = json.loads(path.read_text(encoding="utf-8"))
-    manifest["label_list"]["rooms"].reverse()
-    path.write_text(json.dumps(manifest), encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('"rule": "query"', '"rule": "pooled"'), encoding="utf-8")
 
 
 def edited_index(folder: Path) -> None:
@@ -121,7 +122,7 @@ def edited_index(folder: Path) -> None:
         from_version_before("proxy.scores.npy"), from_version_before("lookup.json"),
         from_version_before("proxy.room_logits.npy"), whole_lookup_of_the_version_before,
         whole_version_of_another_label_space, manifest_of_another_label_space,
-        other_labels_in_the_manifest, edited_index,
+        other_settings_in_the_manifest, edited_index,
         lambda folder: (folder / "proxy.keys.npy").unlink(),
         lambda folder: (folder / "proxy.scores.npy").write_bytes(b""),
         shutil.rmtree,
@@ -195,7 +196,8 @@ def small_arrays(labels: LabelSpace) -> dict[str, np.ndarray]:
     }
 
 
-def write(folder: Path, scores: np.ndarray, keys: np.ndarray | None = None) -> dict[str, object]:
+def write(folder: Path, scores: np.ndarray, keys: np.ndarray | None = None) -> Manifest:
+    """A lookup folder, and a manifest that lists its files."""
     labels = small_space()
     keys = np.arange(1, len(scores) + 1, dtype=np.uint64) if keys is None else keys
 
@@ -204,7 +206,8 @@ def write(folder: Path, scores: np.ndarray, keys: np.ndarray | None = None) -> d
             yield keys[start : start + 7], scores[start : start + 7]
 
     source = (small_arrays(labels), ScoreChunks(40, 3, chunks()))
-    return write_lookup(folder, labels, SETTINGS, {"proxy": source})
+    write_lookup(folder, labels, SETTINGS, {"proxy": source})
+    return made_manifest(folder.parent)
 
 
 @pytest.mark.parametrize("order", [[5, 4], [12, 13], [0, 39]])
@@ -220,22 +223,15 @@ def test_rows_that_are_missing_are_refused(tmp_path: Path) -> None:
         write(tmp_path / "lookup", np.zeros((39, 3), np.float32))
 
 
-def test_the_index_is_written_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
+def test_a_lookup_that_was_not_finished_has_no_index(tmp_path: Path) -> None:
+    def interrupted() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        yield np.array([1], np.uint64), np.zeros((1, 3), np.float32)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(lookup_writer, "write_index", fail)
+    source = (small_arrays(small_space()), ScoreChunks(2, 3, interrupted()))
     with pytest.raises(KeyboardInterrupt):
-        write(tmp_path / "lookup", np.zeros((40, 3), np.float32))
+        write_lookup(tmp_path / "lookup", small_space(), SETTINGS, {"proxy": source})
     assert not (tmp_path / "lookup" / "lookup.json").exists()
-
-
-@given(k=st.integers(1, 8), data=st.data())
-def test_keys_are_unpacked_to_what_was_packed(k: int, data: st.DataObject) -> None:
-    rank = st.integers(0, (1 << key_bits(k)) - 1)
-    rows = data.draw(st.lists(st.lists(rank, min_size=k, max_size=k), min_size=1, max_size=5))
-    ranks = np.array(rows, np.int64)
-    np.testing.assert_array_equal(unpack_ranks(pack_keys(ranks, k), k), ranks)
 
 
 @given(objects=st.integers(1, 9), k=st.integers(1, 4), data=st.data())

@@ -1,3 +1,4 @@
+import hashlib
 import json
 import subprocess
 import sys
@@ -5,23 +6,26 @@ import sys
 import pytest
 
 from roomtables.errors import StoreError
-from roomtables.schemas import SCHEMA_VERSION
-from roomtables.storage.files import build_lock
-from roomtables.storage.versions import MANIFEST, SpaceFolder, Version, write_aside
+from roomtables.storage.files import build_lock, write_aside
+from roomtables.storage.versions import MANIFEST, SpaceFolder, Version
+from support import made_manifest
 
 
 def publish(space, fingerprint="abcdef0123", **manifest):
     with space.staging() as staging:
         (staging / "x.parquet").write_text("data")
-        found = {"schema_version": SCHEMA_VERSION, **manifest}
+        found = made_manifest(staging, **manifest)
         return space.publish(staging, space.new_name(fingerprint), found)
 
 
 def test_a_published_version_is_current(tmp_path):
     space = SpaceFolder(tmp_path, "home")
-    version = publish(space, made="here")
+    version = publish(space, scorer_id="here")
     assert space.current().name == version.name == "000001-abcdef01"
-    assert space.current().manifest["made"] == "here"
+    assert space.current().manifest == version.manifest
+    assert version.manifest.scorer_id == "here"
+    digest = hashlib.sha256((version.path / MANIFEST).read_bytes()).hexdigest()
+    assert (space.path / "CURRENT").read_text() == f"000001-abcdef01 {digest}\n"
     assert (version.path / "x.parquet").read_text() == "data"
     assert [path.name for path in space.path.iterdir() if path.name.startswith(".staging")] == []
 
@@ -75,7 +79,7 @@ def test_a_current_that_names_nothing(tmp_path, name):
         ("{", "damaged"),
         ("[]", "damaged"),
         (json.dumps({"schema_version": 999}), "schema version 999"),
-        ("{}", "damaged"),
+        ("{}", "schema version None"),
     ],
 )
 def test_a_manifest_that_cannot_be_read(tmp_path, text, said):
@@ -85,10 +89,37 @@ def test_a_manifest_that_cannot_be_read(tmp_path, text, said):
         Version.open(version.path)
 
 
-def test_a_manifest_that_lacks_a_key(tmp_path):
-    publish(SpaceFolder(tmp_path, "home"))
-    with pytest.raises(StoreError, match=r"lacks 'decision'.*--full-refresh"):
-        SpaceFolder(tmp_path, "home").current().manifest["decision"]
+def test_a_manifest_that_was_edited_is_not_the_published_one(tmp_path):
+    space = SpaceFolder(tmp_path, "home")
+    path = publish(space).path / MANIFEST
+    text = path.read_text()
+    path.write_text(text.replace('"prior_weight": 0.5', '"prior_weight": 0.25'))
+    assert path.read_text() != text
+    with pytest.raises(StoreError, match=r"not the one that CURRENT names.*roomtables build"):
+        space.current()
+    path.write_text(text)
+    assert space.current().path == path.parent
+
+
+def test_tables_of_the_schema_before_say_so_in_one_line(tmp_path):
+    space = SpaceFolder(tmp_path, "home")
+    version = publish(space)
+    (space.path / "CURRENT").write_text(f"{version.name}\n")
+    with pytest.raises(StoreError, match=r"lacks its manifest's hash.*what is scored is kept"):
+        space.current()
+    (version.path / MANIFEST).write_text('{"schema_version": 1}')
+    with pytest.raises(StoreError, match=r"schema version 1, this roomtables reads 2.*kept"):
+        space.current()
+    assert space.named_by_current() == version.path
+
+
+def test_what_current_names_is_never_removed_even_if_it_cannot_be_opened(tmp_path):
+    space = SpaceFolder(tmp_path, "home")
+    versions = [publish(space) for _ in range(4)]
+    space.point_at(versions[0].path)
+    (versions[0].path / MANIFEST).write_text("{}")
+    assert space.remove_old() == [versions[1].name]
+    assert versions[0].path.is_dir()
 
 
 def test_one_build_at_a_time(tmp_path):

@@ -1,0 +1,171 @@
+"""The DuckDB database that a build works in: its tables, made by name and handed on by value."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import duckdb
+import pyarrow as pa
+
+from roomtables.errors import StoreError, first_line
+from roomtables.schemas import Column, identifier, literal
+from roomtables.storage.files import writing
+
+# Of a large machine; half the memory of a small one. docs/scale.md has what it is enough for.
+_MEMORY_BYTES = 4 << 30
+# Schemas: of the tables that were made, and of those that one SELECT may see. DuckDB looks into
+# `main` from everywhere, so nothing is in it.
+_MADE, _HANDED = "made", "handed"
+_ARROW_TYPES = {
+    "varchar": pa.string(),
+    "varchar[]": pa.list_(pa.string()),
+    "integer": pa.int32(),
+    "ubigint": pa.uint64(),
+    "double": pa.float64(),
+    "boolean": pa.bool_(),
+}
+
+
+class WorkTable(NamedTuple):
+    """A table or view of a workspace, under the name that a query says."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return f"{_MADE}.{identifier(self.name)}"
+
+
+class Workspace:
+    """A database in a file of its own, so that big joins spill to disk.
+
+    Whoever makes a table gets a :class:`WorkTable` for it; queries name no table that they were
+    not handed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.connection = duckdb.connect(str(folder / "work.duckdb"))
+        self.connection.execute(f"set temp_directory = {literal(folder / 'spill')}")
+        self.connection.execute(f"set memory_limit = '{_memory_limit() >> 20} MiB'")
+        self.connection.execute(f"create schema {_MADE}; set schema = '{_MADE}'")
+
+    def table(self, name: str, query: str, parameters: Sequence[object] = ()) -> WorkTable:
+        """Make or replace a table from a SELECT."""
+        made = WorkTable(name)
+        self.connection.execute(f"create or replace table {made} as {query}", parameters)
+        return made
+
+    def view(self, name: str, query: str) -> WorkTable:
+        """Make or replace a view, for what is too large to hold twice."""
+        made = WorkTable(name)
+        self.connection.execute(f"create or replace view {made} as {query}")
+        return made
+
+    def select(self, name: str, query: str, columns: str, handed: Iterable[WorkTable]) -> WorkTable:
+        """Make a table of the ``columns`` of a SELECT that sees the tables it is handed, only."""
+        made = WorkTable(name)
+        self.connection.execute(f"create schema {_HANDED}")
+        try:
+            for table in handed:
+                view = f"{_HANDED}.{identifier(table.name)}"
+                self.connection.execute(f"create view {view} as from {table}")
+            self.connection.execute(f"set schema = '{_HANDED}'")
+            self.connection.execute(
+                f"create or replace table {made} as select {columns} from (\n{query}\n)"
+            )
+        finally:
+            self.connection.execute(f"set schema = '{_MADE}'")
+            self.connection.execute(f"drop schema {_HANDED} cascade")
+        return made
+
+    def load(self, name: str, columns: Sequence[Column], rows: Mapping[str, Any]) -> WorkTable:
+        """Make or replace a table from Python lists or arrays, one per column."""
+        made = self.table(name, f"select {_nulls(columns)} where false")
+        self.append(made, columns, rows)
+        return made
+
+    def append(self, table: WorkTable, columns: Sequence[Column], rows: Mapping[str, Any]) -> None:
+        """Add rows to a table, given as one list or array per column."""
+        arrays = [pa.array(rows[c.name], _ARROW_TYPES[c.type]) for c in columns]
+        self.connection.register("arriving", pa.table(arrays, [c.name for c in columns]))
+        self.connection.execute(f"insert into {table} from arriving")
+        self.connection.unregister("arriving")
+
+    def count(self, table: WorkTable) -> int:
+        """Rows of a table."""
+        return int(self.rows(f"select count(*) from {table}")[0][0])
+
+    def rows(self, query: str, parameters: Sequence[object] = ()) -> list[tuple[Any, ...]]:
+        """All rows of a query."""
+        return self.connection.execute(query, parameters).fetchall()
+
+    def export(self, table: WorkTable, folder: Path) -> None:
+        """Write a table to ``<table>.parquet``, in its own order."""
+        self.connection.execute(
+            f"copy {table} to {literal(folder / f'{table.name}.parquet')} "
+            "(format parquet, compression zstd, row_group_size 16384)"
+        )
+
+    def close(self) -> None:
+        """Close the database and remove its files."""
+        self.connection.close()
+        for path in self._folder.glob("work.duckdb*"):
+            path.unlink()
+        shutil.rmtree(self._folder / "spill", ignore_errors=True)
+
+
+@contextmanager
+def workspace(folder: Path) -> Iterator[Workspace]:
+    """A workspace in a folder; its files are gone at the end.
+
+    Raises
+    ------
+    StoreError
+        The disk is full, or a file cannot be written or read.
+    KeyboardInterrupt
+        A query was interrupted.
+    """
+    with speaking_plainly(folder):
+        opened = Workspace(folder)
+        try:
+            yield opened
+        finally:
+            opened.close()
+
+
+@contextmanager
+def speaking_plainly(folder: Path) -> Iterator[None]:
+    """Turn what DuckDB and the file system say into this package's words.
+
+    Raises
+    ------
+    StoreError
+        The disk is full, or a file cannot be written or read.
+    KeyboardInterrupt
+        A query was interrupted.
+    """
+    try:
+        with writing(folder):
+            yield
+    except duckdb.InterruptException as error:
+        raise KeyboardInterrupt from error
+    except (duckdb.IOException, duckdb.OutOfMemoryException, duckdb.FatalException) as error:
+        raise StoreError(
+            f"cannot build in {folder}: {first_line(error)}; free some space or memory, then run "
+            "`roomtables build` again: what is scored is kept"
+        ) from error
+
+
+def _memory_limit() -> int:
+    """Bytes that DuckDB may use before it spills to disk."""
+    physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return min(_MEMORY_BYTES, physical // 2)
+
+
+def _nulls(columns: Sequence[Column]) -> str:
+    return ", ".join(f"null::{c.type} as {identifier(c.name)}" for c in columns)
