@@ -3,6 +3,7 @@
 import logging
 import os
 import resource
+import shutil
 import signal
 import stat
 import subprocess
@@ -24,9 +25,24 @@ from support import HashScorer, small_space, write_space
 TESTS = Path(__file__).parents[1]
 
 
+@pytest.fixture(scope="module")
+def labels(tmp_path_factory):
+    return str(write_space(tmp_path_factory.mktemp("labels"), small_space()))
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory, labels):
+    """Tables of two builds, so that there are two versions and two score parts."""
+    tables = tmp_path_factory.mktemp("built")
+    for k in (1, 3):
+        build(tables=tables, labels=labels, scorer=HashScorer(), k=k)
+    return tables
+
+
 @pytest.fixture
-def labels(tmp_path):
-    return str(write_space(tmp_path / "labels", small_space()))
+def tables(built, tmp_path):
+    """Those tables, to damage."""
+    return shutil.copytree(built, tmp_path / "t")
 
 
 @pytest.fixture
@@ -173,18 +189,18 @@ def test_a_file_where_a_folder_should_be(tmp_path, labels):
 
 
 @pytest.mark.parametrize("size", [0, 1000, 4000])
-def test_a_disk_that_is_full_publishes_nothing(tmp_path, labels, size):
-    before = build(tables=tmp_path, labels=labels, scorer=HashScorer(), k=1).version
+def test_a_disk_that_is_full_publishes_nothing(tables, labels, size):
+    before = SpaceFolder(tables, "small").current().name
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
     try:
         with pytest.raises(StoreError, match=r"cannot .*(again|writable)"):
-            build(tables=tmp_path, labels=labels, scorer=HashScorer("hash@2"))
+            build(tables=tables, labels=labels, scorer=HashScorer("hash@2"))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-    assert SpaceFolder(tmp_path, "small").current().name == before
-    SpaceFolder(tmp_path, "small").current().verify()
-    assert build(tables=tmp_path, labels=labels, scorer=HashScorer("hash@2")).published
+    assert SpaceFolder(tables, "small").current().name == before
+    SpaceFolder(tables, "small").current().verify()
+    assert build(tables=tables, labels=labels, scorer=HashScorer("hash@2")).published
 
 
 def damage_truncate(path):
@@ -202,29 +218,26 @@ def damage_empty(path):
 
 
 @pytest.mark.parametrize("damage", [damage_truncate, damage_flip, damage_empty, Path.unlink])
-def test_a_damaged_table_is_named_and_the_next_build_makes_it_again(tmp_path, labels, damage):
-    build(tables=tmp_path, labels=labels, scorer=HashScorer())
+def test_a_damaged_table_is_named_and_the_next_build_makes_it_again(tables, labels, damage):
     for name in ("query_scores.parquet", "lookup/lookup.json"):
-        version = SpaceFolder(tmp_path, "small").current()
+        version = SpaceFolder(tables, "small").current()
         damage(version.path / name)
         with pytest.raises(StoreError, match=rf"{Path(name).name} is damaged.*`roomtables build`"):
             version.verify()
-        report = build(tables=tmp_path, labels=labels, scorer=HashScorer())
+        report = build(tables=tables, labels=labels, scorer=HashScorer())
         assert (report.published, report.sentences_scored) == (True, 0)
-        SpaceFolder(tmp_path, "small").current().verify()
+        SpaceFolder(tables, "small").current().verify()
 
 
 @pytest.mark.parametrize("damage", [damage_truncate, damage_flip, damage_empty])
-def test_a_damaged_part_is_named_and_scored_again_once_removed(tmp_path, labels, damage):
-    build(tables=tmp_path, labels=labels, scorer=HashScorer(), k=1)
-    build(tables=tmp_path, labels=labels, scorer=HashScorer())
-    part = sorted(SentenceCache(tmp_path, "hash@1").folder.glob("part-*"))[0]
+def test_a_damaged_part_is_named_and_scored_again_once_removed(tables, labels, damage):
+    part = sorted(SentenceCache(tables, "hash@1").folder.glob("part-*"))[0]
     damage(part)
     with pytest.raises(StoreError, match=rf"{part.name} is damaged.*remove it and run") as error:
-        build(tables=tmp_path, labels=labels, scorer=HashScorer())
+        build(tables=tables, labels=labels, scorer=HashScorer())
     assert "\n" not in str(error.value)
     part.unlink()
-    report = build(tables=tmp_path, labels=labels, scorer=HashScorer())
+    report = build(tables=tables, labels=labels, scorer=HashScorer())
     assert report.sentences_scored in (16, 30)  # what the one part held, or the other
 
 
@@ -247,10 +260,8 @@ LINKED = {
 
 
 @pytest.mark.parametrize("which", LINKED)
-def test_links_out_of_the_folder_are_refused(tmp_path, labels, which):
-    tables = tmp_path / "t"
-    build(tables=tables, labels=labels, scorer=HashScorer())
-    path = min(tables.glob(which))
+def test_links_out_of_the_folder_are_refused(tables, tmp_path, labels, which):
+    path = max(tables.glob(which))
     moved = tmp_path / f"moved-{path.name}"
     path.rename(moved)
     path.symlink_to(moved)

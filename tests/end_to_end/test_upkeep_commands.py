@@ -10,16 +10,24 @@ from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
 
-@pytest.fixture
-def space(tmp_path):
-    return str(write_space(tmp_path / "labels", small_space()))
+@pytest.fixture(scope="module")
+def space(tmp_path_factory):
+    return str(write_space(tmp_path_factory.mktemp("labels"), small_space()))
 
 
-@pytest.fixture
-def tables(tmp_path, space):
+@pytest.fixture(scope="module")
+def built(tmp_path_factory, space):
+    """Tables of three builds."""
+    folder = tmp_path_factory.mktemp("built")
     for k in (1, 2, 3):
-        build(tables=tmp_path / "t", labels=space, scorer=HashScorer(), k=k)
-    return tmp_path / "t"
+        build(tables=folder, labels=space, scorer=HashScorer(), k=k)
+    return folder
+
+
+@pytest.fixture
+def tables(built, tmp_path):
+    """Those tables, to change."""
+    return shutil.copytree(built, tmp_path / "t")
 
 
 def test_plan_of_the_embedded_model_writes_nothing(shell, tmp_path):
