@@ -1,8 +1,7 @@
-"""Objects that count by how many there are, or how surely they were detected; only on request.
+"""Weigh objects by how many there are of a kind, or by how surely they were detected.
 
-Both act on the weight w(o) of rule ``pooled``: a detection's confidence is a factor of it, and n
-objects of a kind count 1 + ln n times, as in sublinear term weighting: two chairs say more than
-one, but ten chairs say the same thing ten times.
+Both multiply the weight w(o) of rule ``pooled``: a detection by its confidence, n objects of a kind
+by 1 + ln n (sublinear term weighting: ten chairs say more than one, but not ten times as much).
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ def classify_rooms(
 ) -> Sequence[Prediction]:
     """Label rooms, in order; ``weights`` is ``counts``, ``confidences``, or ``None`` for neither.
 
-    With counts, an object named twice counts twice. A room without them has one of each object,
-    surely detected.
+    With counts, an object named twice counts twice; of several confidences the highest counts. A
+    room without these numbers has one of each object, surely detected.
 
     Raises
     ------
@@ -41,22 +40,22 @@ def classify_rooms(
             f"weights act on rule {POOLED}, not {tables.decision.rule}; add `--rule {POOLED}`"
         )
     factors = [_factors(room, weights, tables.lookup.object_aliases) for room in rooms]
-    found = tables.classify_many([room.objects for room in rooms])
+    predictions = tables.classify_many([room.objects for room in rooms])
     return [
-        prediction.weighed(factor).unless_unsure()
-        for prediction, factor in zip(found, factors, strict=True)
+        prediction.weighed(of_room).unless_unsure()
+        for prediction, of_room in zip(predictions, factors, strict=True)
     ]
 
 
 def _factors(room: Room, weights: str, aliases: Mapping[str, str]) -> dict[str, float]:
     """The factor of each object's weight, by label."""
-    found: dict[str, list[float]] = defaultdict(list)
+    measured: dict[str, list[float]] = defaultdict(list)
     for name, value in zip(room.objects, room.measured(weights), strict=True):
         spelled = normalise(name)
-        found[aliases.get(spelled, spelled)].append(value)
+        measured[aliases.get(spelled, spelled)].append(value)
     if weights == COUNTS:
-        return {label: _of_count(sum(values)) for label, values in found.items()}
-    return {label: max(values) for label, values in found.items()}
+        return {label: _of_count(sum(values)) for label, values in measured.items()}
+    return {label: max(values) for label, values in measured.items()}
 
 
 def _of_count(n: float) -> float:
