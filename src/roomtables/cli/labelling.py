@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,8 @@ from roomtables.scenes.matterport_labels import house_labels
 
 _CHUNK = 1024  # rooms whose misses share one pass of the model
 _COLUMNS = (
-    "room_id", "room", "probability", "objects", "unknown_objects", "rule", "source", "answered_by",
+    "room_id", "room", "reason", "probability", "top", "objects", "unknown_objects", "rule",
+    "source", "answered_by",
 )  # fmt: skip
 
 
@@ -79,40 +80,43 @@ def classify(
     opened = RoomTables.open(tables, labels, **decision)
     rooms: Iterable[Room] = [Room("", objects)]
     if input_:
-        synonyms = Synonyms(opened)
-        click.get_current_context().call_on_close(synonyms.report)
-        found = read_rooms(
+        given = read_rooms(
             input_,
             labelspace=labelspace,
             object_labels=house_labels(labels),
             category_mapping=category_mapping,
             warn=Warnings(),
         )
-        rooms = synonyms.watch(found)
-    results = _classified(rooms, opened, weights)
+        synonyms = Synonyms(opened)
+        click.get_current_context().call_on_close(synonyms.report)
+        rooms = synonyms.watch(given)
+    records = (
+        _record(room, prediction, top, explain)
+        for room, prediction in _classified(rooms, opened, weights)
+    )
     if format_ == "jsonl":
-        emit_lines((as_json_line(_record(*result, top, explain)) for result in results), output)
-        return
-    records = [_record(*result, top, explain) for result in results]
-    if format_ == "json":
-        emit(as_json(records), output)
-        return
-    columns = [name for name in _COLUMNS if input_ or name != "room_id"]
-    if decision.get("min_probability"):
-        columns.insert(columns.index("room") + 1, "reason")
-    text = render(records, format_, _with_top(records, columns) if top else columns)
-    if explain and format_ == "table":
-        text += "".join(_explanation(record) for record in records)
-    emit(text, output)
+        emit_lines(map(as_json_line, records), output)
+    elif format_ == "json":
+        emit(as_json(list(records)), output)
+    else:
+        left_out = set() if input_ else {"room_id"}
+        left_out |= set() if top else {"top"}
+        left_out |= set() if decision.get("min_probability") else {"reason"}
+        columns = [name for name in _COLUMNS if name not in left_out]
+        emit(_as_text(list(records), format_, columns), output)
 
 
-def _with_top(records: list[dict[str, Any]], columns: list[str]) -> list[str]:
-    """The columns with one of the most probable rooms, which the records are given."""
-    for record in records:
-        best = record["probabilities"].items()
-        record["top"] = [f"{room} {probability:.3f}" for room, probability in best]
-    at = columns.index("objects")
-    return [*columns[:at], "top", *columns[at:]]
+def _as_text(records: Sequence[dict[str, Any]], format_: str, columns: Sequence[str]) -> str:
+    """A table or CSV; below a table, why each room is as it is, where that was asked for."""
+    rows = [record | {"top": _shown(record["probabilities"])} for record in records]
+    text = render(rows, format_, columns)
+    if format_ == "table":
+        text += "".join(_explanation(record) for record in records if "evidence" in record)
+    return text
+
+
+def _shown(probabilities: Mapping[str, float]) -> list[str]:
+    return [f"{room} {probability:.3f}" for room, probability in probabilities.items()]
 
 
 def _explanation(record: dict[str, Any]) -> str:
