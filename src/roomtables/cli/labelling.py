@@ -80,16 +80,13 @@ def classify(
     opened = RoomTables.open(tables, labels, **decision)
     rooms: Iterable[Room] = [Room("", objects)]
     if input_:
-        given = read_rooms(
+        rooms = _rooms_of(
             input_,
+            opened,
             labelspace=labelspace,
             object_labels=house_labels(labels),
             category_mapping=category_mapping,
-            warn=Warnings(),
         )
-        synonyms = Synonyms(opened)
-        click.get_current_context().call_on_close(synonyms.report)
-        rooms = synonyms.watch(given)
     records = (
         _record(room, prediction, top, explain)
         for room, prediction in _classified(rooms, opened, weights)
@@ -104,6 +101,13 @@ def classify(
         left_out |= set() if decision.get("min_probability") else {"reason"}
         columns = [name for name in _COLUMNS if name not in left_out]
         emit(_as_text(list(records), format_, columns), output)
+
+
+def _rooms_of(path: str, tables: RoomTables, **reading: Any) -> Iterator[Room]:
+    """The rooms of a file; which names were read as synonyms is said at the end."""
+    synonyms = Synonyms(tables)
+    click.get_current_context().call_on_close(synonyms.report)
+    return synonyms.watch(read_rooms(path, warn=Warnings(), **reading))
 
 
 def _as_text(records: Sequence[dict[str, Any]], format_: str, columns: Sequence[str]) -> str:

@@ -1,4 +1,10 @@
-"""Tables under one decision: what the rule compares, and what each object adds to it."""
+"""Tables under one decision: what the rule compares, and what each object adds to it.
+
+To add a rule, name it in ``schemas.RULES``, put its formula into ``rules.py``, and say here what it
+compares: :meth:`Decider.compare` for one room, :meth:`Decider.best_of_many` for many at once. Its
+SQL is a macro in ``pipeline/macros``, with a line in ``decided.sql``;
+``tests/unit/online/test_one_truth.py`` holds all of them equal.
+"""
 
 from __future__ import annotations
 

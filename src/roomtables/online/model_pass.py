@@ -1,4 +1,9 @@
-"""Rooms that the tables alone cannot answer: unlisted objects, and combinations that none holds."""
+"""Rooms that the tables alone cannot answer: unlisted objects, and combinations that none holds.
+
+On a miss, the combination is noted in the ``misses`` folder for the next build, and the language
+model, where there is one, scores its query sentence for each candidate room, together with those of
+all the other rooms that were asked about. Without a model the room stays unanswered.
+"""
 
 from __future__ import annotations
 
