@@ -5,6 +5,7 @@ Opening maps the published tables; the language model is loaded on the first mis
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,16 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from roomtables.errors import StoreError
-from roomtables.labels import RoomLabel
-from roomtables.online.batch import RankedRooms
+from roomtables.errors import ConfigError, StoreError
+from roomtables.labels import RoomLabel, normalise
+from roomtables.online import rules
 from roomtables.online.decider import Decider
 from roomtables.online.decision import Decision
 from roomtables.online.model import QueryModel
 from roomtables.online.model_pass import ModelPass, Question
 from roomtables.online.names import UNLISTED, Vocabulary, as_names
 from roomtables.online.prediction import TABLE, Prediction, Predictions
-from roomtables.online.score_rows import ABSENT
+from roomtables.online.ranks import ABSENT, RankedRooms
+from roomtables.rooms import COUNTS, Room
+from roomtables.schemas import POOLED
 from roomtables.scorer import Scorer
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.misses import FOLDER, MissLog
@@ -204,3 +207,45 @@ def _open_version(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:
             f"run `roomtables build --labels {space.labels} --full-refresh`"
         )
     return version, Lookup.open(version.path / LOOKUP, version.manifest, verify)
+
+
+def classify_rooms(
+    tables: RoomTables, rooms: Sequence[Room], weights: str | None = None
+) -> Sequence[Prediction]:
+    """Label rooms, in order; ``weights`` is ``counts``, ``confidences``, or ``None`` for neither.
+
+    Both multiply the weight w(o) of rule ``pooled``: a detection by its confidence, objects of a
+    kind by :func:`~roomtables.online.rules.count_factor` of their number. With counts, an object
+    named twice counts twice; of several confidences the highest counts. A room without these
+    numbers has one of each object, surely detected.
+
+    Raises
+    ------
+    ConfigError
+        There are weights, and the rule is not ``pooled``.
+    InputError
+        A room's counts or confidences are malformed.
+    """
+    if weights is None:
+        return tables.classify_many([room.objects for room in rooms])
+    if tables.decision.rule != POOLED:
+        raise ConfigError(
+            f"weights act on rule {POOLED}, not {tables.decision.rule}; add `--rule {POOLED}`"
+        )
+    factors = [_factors(room, weights, tables.lookup.object_aliases) for room in rooms]
+    predictions = tables.classify_many([room.objects for room in rooms])
+    return [
+        prediction.weighed(of_room).unless_unsure()
+        for prediction, of_room in zip(predictions, factors, strict=True)
+    ]
+
+
+def _factors(room: Room, weights: str, aliases: Mapping[str, str]) -> dict[str, float]:
+    """The factor of each object's weight, by label."""
+    measured: dict[str, list[float]] = defaultdict(list)
+    for name, value in zip(room.objects, room.measured(weights), strict=True):
+        spelled = normalise(name)
+        measured[aliases.get(spelled, spelled)].append(value)
+    if weights == COUNTS:
+        return {label: rules.count_factor(sum(values)) for label, values in measured.items()}
+    return {label: max(values) for label, values in measured.items()}

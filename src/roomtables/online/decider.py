@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from roomtables.errors import StoreError
 from roomtables.labels import ObjectLabel
 from roomtables.online import rules
-from roomtables.online.batch import RankedRooms
 from roomtables.online.decision import Candidates, Decision
 from roomtables.online.model import QueryModel
-from roomtables.online.score_rows import ABSENT, ScoreRows
+from roomtables.online.ranks import ABSENT, RankedRooms, ScoreRows
 from roomtables.schemas import CALIBRATED, POOLED
 from roomtables.storage.lookup import Lookup
 

@@ -6,6 +6,8 @@ score of the sentence about object o and room r.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -72,6 +74,14 @@ def evidence_weights(adjusted_scores: Array, evidence_power: float) -> Array:
     informativeness = np.log(adjusted_scores.shape[-1]) - entropy(adjusted_scores)
     result: Array = np.power(np.maximum(informativeness, 0.0), evidence_power)
     return result
+
+
+def count_factor(n: float) -> float:
+    """1 + ln n: what n objects of a kind multiply w(o) by; below one object, n itself.
+
+    Sublinear term weighting: ten chairs say more than one, but not ten times as much.
+    """
+    return 1 + math.log(n) if n >= 1 else n
 
 
 def evidence(adjusted_scores: Array, weights: Array) -> Array:
