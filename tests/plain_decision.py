@@ -26,7 +26,12 @@ class Answer:
 
 @dataclass
 class PlainDecision:
-    """One rule and source; ``held`` are the combinations in the tables (``None``: all)."""
+    """One rule and source.
+
+    ``smoothing`` is added to every count (``None``: 1 / number of rooms); ``combinations`` are
+    those in the tables (``None``: all). ``rooms`` are the candidates; of those that the
+    label space does not list, ``score`` is asked.
+    """
 
     space: LabelSpace
     score: Score
@@ -36,9 +41,10 @@ class PlainDecision:
     prior_weight: float = 0.5
     evidence_power: float = 3.0
     rooms: Sequence[str] = ()
-    held: set[frozenset[str]] | None = None
+    combinations: set[frozenset[str]] | None = None
     model: bool = False
     k: int = 3
+    smoothing: float | None = None
     _unlisted: dict[str, ObjectLabel] = field(default_factory=dict)
 
     def answer(self, names: Sequence[str]) -> Answer:
@@ -81,8 +87,10 @@ class PlainDecision:
                 for room, value in self._evidence(name, candidates).items():
                     pooled[room] += value
             return pooled, "lm" if asks else "table"
-        tabled = not any(name in self._unlisted for name in picked) and (
-            self.held is None or frozenset(picked) in self.held
+        tabled = (
+            not any(name in self._unlisted for name in picked)
+            and set(candidates) <= {room.label for room in self.space.predicted_rooms}
+            and (self.combinations is None or frozenset(picked) in self.combinations)
         )
         if not (tabled or self.model):
             return None, "none"
@@ -102,15 +110,19 @@ class PlainDecision:
         return listed.get(name) or self._unlisted[name]
 
     def _room(self, name: str) -> RoomLabel:
-        return next(room for room in self.space.rooms if room.label == name)
+        listed = {room.label: room for room in self.space.rooms}
+        return listed.get(name) or RoomLabel.named(name)
 
     def _single(self, name: str, room: str) -> float:
         """S(o, r), or log p(r | o) of counts."""
         if self.source == "proxy":
             return self._single_score(name, room)
-        smoothing = 1 / len(self.space.rooms)
-        rows = {r.label: self.counts.get((name, r.label), 0) + smoothing for r in self.space.rooms}
-        return math.log(rows[room] / sum(rows.values()))
+        rooms = [r.label for r in self.space.rooms]
+        smoothing = 1 / len(rooms) if self.smoothing is None else self.smoothing
+        rows = {r: self.counts.get((name, r), 0) + smoothing for r in rooms}
+        if sum(rows.values()) == 0:  # never seen: it says nothing
+            return -math.log(len(rooms))
+        return math.log(rows[room] / sum(rows.values())) if rows[room] else -math.inf
 
     def _single_score(self, name: str, room: str) -> float:
         return self.score(Template().compose([self._label(name)], [self._room(room)])[0])
@@ -123,10 +135,14 @@ class PlainDecision:
         return _log_softmax({room: self._single(name, room) for room in rooms})
 
     def _bias(self, candidates: Sequence[str]) -> dict[str, float]:
-        """The model's taste in rooms, whatever the source."""
+        """The model's bias towards rooms, whatever the source.
+
+        A candidate that is not listed takes part in the softmax; that moves b of all rooms alike.
+        """
         predicted = [room.label for room in self.space.predicted_rooms]
+        rooms = dict.fromkeys([*predicted, *candidates])
         rows = [
-            _log_softmax({room: self._single_score(o.label, room) for room in predicted})
+            _log_softmax({room: self._single_score(o.label, room) for room in rooms})
             for o in self.space.objects
         ]
         return {room: sum(row[room] for row in rows) / len(rows) for room in candidates}
@@ -136,9 +152,9 @@ class PlainDecision:
         bias = self._bias(candidates)
         likelihood = self._log_likelihood(name, candidates)
         adjusted = _log_softmax({r: likelihood[r] - weight * bias[r] for r in candidates})
-        entropy = -sum(math.exp(v) * v for v in adjusted.values())
+        entropy = -sum(math.exp(v) * v for v in adjusted.values() if math.exp(v) > 0)
         informative = max(math.log(len(candidates)) - entropy, 0.0) ** self.evidence_power
-        return {room: informative * value for room, value in adjusted.items()}
+        return {room: informative * v if informative else 0.0 for room, v in adjusted.items()}
 
 
 def _softmax(scores: Mapping[str, float]) -> dict[str, float]:
@@ -147,5 +163,7 @@ def _softmax(scores: Mapping[str, float]) -> dict[str, float]:
 
 def _log_softmax(scores: Mapping[str, float]) -> dict[str, float]:
     highest = max(scores.values())
+    if highest == -math.inf:
+        return dict.fromkeys(scores, -math.log(len(scores)))
     total = math.log(sum(math.exp(value - highest) for value in scores.values()))
     return {name: value - highest - total for name, value in scores.items()}

@@ -1,8 +1,12 @@
--- answers(given, from_source := 'proxy'):
--- the query sentence's score and p(room) of a combination that the tables hold, best first.
-create macro answers(given, from_source := 'proxy') as table
-select room, score, p_room
+-- answers(given, from_source, k, among):
+-- rule query: S of the sentence that names the picked objects, and p(room), best first.
+create macro answers(given, from_source := null, k := null, among := null) as table
+select room, score, exp(log_softmax(score, list(score) over ())) as p_room
 from query_scores_long
-where query_scores_long.source = from_source
-    and list_sort(query_scores_long.objects) = list_sort(given)
+where query_scores_long.source = coalesce(from_source, (select decision.source from decision))
+    and query_scores_long.objects = (
+        select list(object order by rank)
+        from picked(given, k := k, from_source := from_source)
+    )
+    and (among is null or list_contains(among, room))
 order by score desc, room

@@ -1,55 +1,57 @@
--- p_room_given(given, from_source := 'proxy', prior_weight := 0.5, evidence_power := 3.0):
--- p(room | objects) by rule pooled, most probable room first.
-create macro p_room_given(given, from_source := 'proxy', prior_weight := 0.5, evidence_power := 3.0)
-as table
-with known as (
-    select object, room, log_probability - prior_weight * bias_nats as adjusted
-    from evidence
-    where evidence.source = from_source and list_contains(given, object)
-),
-
--- L′: log softmax over the predicted rooms of L − λ b.
-shares as (
+-- p_room_given(given, from_source, prior_weight, evidence_power, among):
+-- rule pooled: the evidence Σ w(o) L′(o, r) of all the objects, and p(room), best first.
+create macro p_room_given(
+    given, from_source := null, prior_weight := null, evidence_power := null, among := null
+) as table
+with debiased as (
     select
         object,
         room,
-        adjusted - highest
-            - ln(sum(exp(adjusted - highest)) over (partition by object)) as log_p
-    from (select *, max(adjusted) over (partition by object) as highest from known)
+        log_probability
+        - coalesce(prior_weight, (select decision.prior_weight from decision)) * bias_nats
+            as score
+    from evidence
+    where evidence.source = coalesce(from_source, (select decision.source from decision))
+        and list_contains(given, object)
+        and (among is null or list_contains(among, room))
 ),
 
--- w = (log n − H′)^γ; 0^0 is 1, as in the naive product.
-weighted as (
+-- L′ = log softmax over the candidate rooms of L − λ b.
+adjusted as (
+    select
+        object,
+        room,
+        log_softmax(score, list(score) over (partition by object)) as log_p
+    from debiased
+),
+
+-- w = (log n − H′)^γ, H′ the entropy of L′; 0^0 is 1, as in the naive product.
+weighed as (
     select
         room,
         log_p,
         power(
             greatest(
-                ln(count(*) over (partition by object)) + sum(
-                    case when exp(log_p) > 0 then exp(log_p) * log_p else 0::double end
-                ) over (partition by object),
+                ln(count(*) over of_object)
+                + sum(if(exp(log_p) > 0, exp(log_p) * log_p, 0::double)) over of_object,
                 0::double
             ),
-            evidence_power
+            coalesce(evidence_power, (select decision.evidence_power from decision))
         ) as weight
-    from shares
+    from adjusted
+    window of_object as (partition by object)
 ),
 
+-- An object without weight adds nothing, not 0 × −inf.
 pooled as (
-    select room, sum(case when weight > 0 then weight * log_p else 0::double end) as evidence_nats
-    from weighted
+    select room, sum(if(weight > 0, weight * log_p, 0::double)) as evidence_nats
+    from weighed
     group by room
 )
 
--- Evidence that rules out every room leaves them all alike.
-select room, evidence_nats, likelihood / sum(likelihood) over () as p_room
-from (
-    select
-        *,
-        case
-            when isinf(max(evidence_nats) over ()) then 1::double
-            else exp(evidence_nats - max(evidence_nats) over ())
-        end as likelihood
-    from pooled
-)
-order by p_room desc, room
+select
+    room,
+    evidence_nats,
+    exp(log_softmax(evidence_nats, list(evidence_nats) over ())) as p_room
+from pooled
+order by evidence_nats desc, room

@@ -1,8 +1,9 @@
--- picked(given, k := 3, from_source := 'proxy'):
+-- picked(given, k, from_source):
 -- the k most informative of the objects, in the order in which a query sentence names them.
-create macro picked(given, k := 3, from_source := 'proxy') as table
+create macro picked(given, k := null, from_source := null) as table
 select rank, object, entropy_nats
 from entropy
-where entropy.source = from_source and list_contains(given, object)
+where entropy.source = coalesce(from_source, (select decision.source from decision))
+    and list_contains(given, object)
 order by rank
-limit k
+limit coalesce(k, (select decision.k from decision))

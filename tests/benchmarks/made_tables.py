@@ -7,6 +7,7 @@ the build's own code. Speed and memory do not depend on what the scores are.
 from __future__ import annotations
 
 import resource
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -15,18 +16,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from roomtables.config import load_labels
+from roomtables.config import BuildConfig, load_labels
 from roomtables.labels import LabelSpace
 from roomtables.offline.combinations import all_combinations
 from roomtables.online import rules
-from roomtables.schemas import ENTROPY_DECIMALS, PROXY, SCHEMA_VERSION
-from roomtables.sentences import DEFAULT_TEMPLATE
-from roomtables.storage.files import utc_now
+from roomtables.schemas import PROXY
 from roomtables.storage.lookup import pack_keys
-from roomtables.storage.lookup_writer import read_scores, write_lookup
+from roomtables.storage.lookup_writer import LookupSettings, read_scores, write_lookup
 from roomtables.storage.versions import LOOKUP, SpaceFolder
 
-K = 3
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from support import made_manifest
+
+_BUILT = BuildConfig(rule="query", source=PROXY, prior_weight=0.5, evidence_power=3.0)
+K = _BUILT.k
 _ROW_GROUP = 16384
 
 
@@ -40,14 +44,15 @@ def make(tables: Path, labels: str = "nyuclass", seed: int = 0) -> dict[str, Any
         parquet = staging / "query_scores.parquet"
         rows = write_query_scores(parquet, space, rng)
         before, started = peak_mb(), time.perf_counter()
-        settings = {"k": K, "template": DEFAULT_TEMPLATE, "reduction": "sum"}
-        scores = read_scores(parquet, PROXY, len(space.predicted_rooms))
+        scores = read_scores(parquet, PROXY, [room.label for room in space.predicted_rooms])
         small = small_arrays(room_logits, space)
-        lookup = write_lookup(staging / LOOKUP, space, settings, {PROXY: (small, scores)})
+        settings = LookupSettings(*(getattr(_BUILT, name) for name in LookupSettings._fields))
+        write_lookup(staging / LOOKUP, space, settings, {PROXY: (small, scores)})
         seconds = time.perf_counter() - started
-        folder.publish(
-            staging, folder.new_name("madeupxx"), lookup | settings | manifest(space, rows)
+        manifest = made_manifest(
+            staging, labels=space.name, settings=_BUILT, combinations={PROXY: rows}
         )
+        folder.publish(staging, folder.new_name("madeupxx"), manifest)
     return {
         "rows": rows,
         "seconds": round(seconds, 2),
@@ -60,18 +65,15 @@ def write_query_scores(path: Path, space: LabelSpace, rng: np.random.Generator) 
     """``query_scores`` of all combinations, sorted by key, in row groups as a build writes them."""
     ranks = all_combinations(len(space.objects), K)
     keys = np.sort(pack_keys(ranks, K))
-    rooms = len(space.predicted_rooms)
-    schema = pa.schema(
-        [("source", pa.string()), ("key", pa.uint64()), ("scores", pa.list_(pa.float32()))]
-    )
+    rooms = [room.label for room in space.predicted_rooms]
+    fields = [("source", pa.string()), ("key", pa.uint64())]
+    schema = pa.schema([*fields, *((room, pa.float32()) for room in rooms)])
     with pq.ParquetWriter(path, schema, compression="zstd") as writer:
         for start in range(0, len(keys), _ROW_GROUP):
             part = keys[start : start + _ROW_GROUP]
-            values = rng.normal(-40, 4, len(part) * rooms).astype(np.float32)
-            offsets = np.arange(0, len(values) + 1, rooms, dtype=np.int32)
-            lists = pa.ListArray.from_arrays(offsets, values)
+            values = rng.normal(-40, 4, (len(part), len(rooms))).astype(np.float32)
             source = pa.repeat(pa.scalar(PROXY), len(part))
-            writer.write_table(pa.table([source, part, lists], schema=schema))
+            writer.write_table(pa.table([source, part, *values.T], schema=schema))
     return len(keys)
 
 
@@ -80,32 +82,13 @@ def small_arrays(room_logits: np.ndarray, space: LabelSpace) -> dict[str, np.nda
     entropy = rules.entropy(rules.log_softmax(room_logits))
     ordered = sorted(
         range(len(entropy)),
-        key=lambda n: (round(float(entropy[n]), ENTROPY_DECIMALS), space.objects[n].label),
+        key=lambda n: rules.rank_key(float(entropy[n]), space.objects[n].label),
     )
     ranks = np.empty(len(entropy), np.int32)
     ranks[ordered] = np.arange(1, len(entropy) + 1)
     predicted = [n for n, room in enumerate(space.rooms) if room.predicted]
     bias = rules.room_bias(room_logits[:, predicted])
     return {"entropy": entropy, "ranks": ranks, "room_logits": room_logits, "bias": bias}
-
-
-def manifest(space: LabelSpace, rows: int) -> dict[str, Any]:
-    """What a reader asks of a manifest."""
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "labels": space.name,
-        "created": utc_now(),
-        "objects": len(space.objects),
-        "rooms": len(space.rooms),
-        "predicted_rooms": len(space.predicted_rooms),
-        "scorer_id": "made-up",
-        "query_scorer_id": "made-up",
-        "model": {"model": "made-up", "revision": None, "described": {}},
-        "combinations": {PROXY: rows},
-        "decision": {
-            "source": PROXY, "rule": "query", "prior_weight": 0.5, "evidence_power": 3.0
-        },
-    }  # fmt: skip
 
 
 def peak_mb() -> float:

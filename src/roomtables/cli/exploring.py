@@ -89,10 +89,10 @@ def _interact(connection: Any, format_: str, output: Path | None) -> None:
             continue
         query = f"{query}{line}\n" if line.strip() or query else ""
         if query.rstrip().endswith(";"):
-            answers.append(_answered(connection, query, format_, terminal))
+            answers.append(_answer_at_prompt(connection, query, format_, terminal))
             query = ""
     if query.strip():
-        answers.append(_answered(connection, query, format_, terminal))
+        answers.append(_answer_at_prompt(connection, query, format_, terminal))
     if output is not None:
         emit("".join(answers), output)
     elif not terminal:
@@ -107,7 +107,7 @@ def _read(terminal: bool, query: str) -> str | None:
         return None
 
 
-def _answered(connection: Any, query: str, format_: str, terminal: bool) -> str:
+def _answer_at_prompt(connection: Any, query: str, format_: str, terminal: bool) -> str:
     try:
         text = _answer(connection, query, format_)
     except InputError as error:

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from roomtables.errors import InputError
 from roomtables.evaluation import statistics
 from roomtables.labels import normalise
-from roomtables.online.classifier import RoomTables
+from roomtables.online.classifier import RoomTables, classify_rooms
 from roomtables.online.prediction import Prediction
-from roomtables.online.weighing import classify_rooms
 from roomtables.rooms import Room, read_room_lines
 
 NO_TRUTH = "no true label"

@@ -18,9 +18,8 @@ from roomtables.storage.files import writing
 
 # Of a large machine; half the memory of a small one. docs/scale.md has what it is enough for.
 _MEMORY_BYTES = 4 << 30
-# Schemas: of the tables that were made, and of those that one SELECT may see. DuckDB looks into
-# `main` from everywhere, so nothing is in it.
-_MADE, _HANDED = "made", "handed"
+# Databases: of the tables that were made, and, in memory, of what one SELECT may see of them.
+_MADE, _HANDED = "work", "handed"
 _ARROW_TYPES = {
     "varchar": pa.string(),
     "varchar[]": pa.list_(pa.string()),
@@ -49,10 +48,11 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self.connection = duckdb.connect(str(folder / "work.duckdb"))
+        self.connection = duckdb.connect(str(folder / f"{_MADE}.duckdb"))
+        # Nobody opens the file again, so it need not be put in order.
+        self.connection.execute("pragma disable_checkpoint_on_shutdown")
         self.connection.execute(f"set temp_directory = {literal(folder / 'spill')}")
         self.connection.execute(f"set memory_limit = '{_memory_limit() >> 20} MiB'")
-        self.connection.execute(f"create schema {_MADE}; set schema = '{_MADE}'")
 
     def table(self, name: str, query: str, parameters: Sequence[object] = ()) -> WorkTable:
         """Make or replace a table from a SELECT."""
@@ -69,32 +69,39 @@ class Workspace:
     def select(self, name: str, query: str, columns: str, handed: Iterable[WorkTable]) -> WorkTable:
         """Make a table of the ``columns`` of a SELECT that sees the tables it is handed, only."""
         made = WorkTable(name)
-        self.connection.execute(f"create schema {_HANDED}")
+        self.connection.execute(f"attach ':memory:' as {_HANDED}")
         try:
             for table in handed:
                 view = f"{_HANDED}.{identifier(table.name)}"
                 self.connection.execute(f"create view {view} as from {table}")
-            self.connection.execute(f"set schema = '{_HANDED}'")
+            self.connection.execute(f"use {_HANDED}")
             self.connection.execute(
                 f"create or replace table {made} as select {columns} from (\n{query}\n)"
             )
         finally:
-            self.connection.execute(f"set schema = '{_MADE}'")
-            self.connection.execute(f"drop schema {_HANDED} cascade")
+            self.connection.execute(f"use {_MADE}")
+            self.connection.execute(f"detach {_HANDED}")
         return made
 
     def load(self, name: str, columns: Sequence[Column], rows: Mapping[str, Any]) -> WorkTable:
         """Make or replace a table from Python lists or arrays, one per column."""
-        made = self.table(name, f"select {_nulls(columns)} where false")
-        self.append(made, columns, rows)
-        return made
+        with self._arriving(columns, rows):
+            return self.table(name, "from arriving")
 
     def append(self, table: WorkTable, columns: Sequence[Column], rows: Mapping[str, Any]) -> None:
         """Add rows to a table, given as one list or array per column."""
+        with self._arriving(columns, rows):
+            self.connection.execute(f"insert into {table} from arriving")
+
+    @contextmanager
+    def _arriving(self, columns: Sequence[Column], rows: Mapping[str, Any]) -> Iterator[None]:
+        """Rows as the view ``arriving``."""
         arrays = [pa.array(rows[c.name], _ARROW_TYPES[c.type]) for c in columns]
         self.connection.register("arriving", pa.table(arrays, [c.name for c in columns]))
-        self.connection.execute(f"insert into {table} from arriving")
-        self.connection.unregister("arriving")
+        try:
+            yield
+        finally:
+            self.connection.unregister("arriving")
 
     def count(self, table: WorkTable) -> int:
         """Rows of a table."""
@@ -114,7 +121,7 @@ class Workspace:
     def close(self) -> None:
         """Close the database and remove its files."""
         self.connection.close()
-        for path in self._folder.glob("work.duckdb*"):
+        for path in self._folder.glob(f"{_MADE}.duckdb*"):
             path.unlink()
         shutil.rmtree(self._folder / "spill", ignore_errors=True)
 
@@ -165,7 +172,3 @@ def _memory_limit() -> int:
     """Bytes that DuckDB may use before it spills to disk."""
     physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return min(_MEMORY_BYTES, physical // 2)
-
-
-def _nulls(columns: Sequence[Column]) -> str:
-    return ", ".join(f"null::{c.type} as {identifier(c.name)}" for c in columns)

@@ -1,32 +1,35 @@
-"""Label rooms: pick the most informative objects, look the combination up, ask the model if not.
+"""Label rooms: pick the most informative objects, look their combination up, else ask the model.
 
-One open maps the published tables; the language model is loaded on the first miss, if at all.
+Opening maps the published tables; the language model is loaded on the first miss, if at all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from roomtables.errors import StoreError
-from roomtables.labels import RoomLabel
-from roomtables.online import batch
-from roomtables.online.decision import Decision, TableDecider
+from roomtables.errors import ConfigError, StoreError
+from roomtables.labels import RoomLabel, normalise
+from roomtables.online import rules
+from roomtables.online.decider import Decider
+from roomtables.online.decision import Decision
 from roomtables.online.model import QueryModel
-from roomtables.online.model_pass import OpenVocabulary, Question
+from roomtables.online.model_pass import ModelPass, Question
 from roomtables.online.names import UNLISTED, Vocabulary, as_names
-from roomtables.online.prediction import NONE, TABLE, Prediction, Predictions
+from roomtables.online.prediction import TABLE, Prediction, Predictions
+from roomtables.online.ranks import ABSENT, RankedRooms
+from roomtables.rooms import COUNTS, Room
+from roomtables.schemas import POOLED
 from roomtables.scorer import Scorer
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.misses import FOLDER, MissLog
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
-_BATCH = 1 << 13  # rooms worked on at once: their arrays fit the processor's cache
 # What a decision takes from the build's settings where nothing else is said.
 _SETTINGS = ("rule", "source", "prior_weight", "evidence_power")
 _ATTEMPTS = 20  # opens, while a build removes the version that CURRENT named a moment ago
@@ -35,11 +38,13 @@ _ATTEMPTS = 20  # opens, while a build removes the version that CURRENT named a 
 class RoomTables:
     """Published tables of one label space, opened for lookup. Threads may share one.
 
-    Examples
-    --------
-    >>> tables = RoomTables.open("tables", labels="mpcat40")  # doctest: +SKIP
-    >>> tables.classify(["toilet", "sink"]).room  # doctest: +SKIP
-    'bathroom'
+    :meth:`open` opens them; :meth:`deciding` gives the same tables under another rule or source.
+
+    Attributes
+    ----------
+    version : the published version that was opened
+    lookup : its mapped lookup
+    decision : how rooms are decided
     """
 
     def __init__(
@@ -55,8 +60,8 @@ class RoomTables:
         self.decision = decision
         self._model = model
         self._misses = misses
-        self._decider = TableDecider(lookup, decision, model)
-        self._open = OpenVocabulary(self._decider, model, misses)
+        self._decider = Decider(lookup, decision, model)
+        self._model_pass = ModelPass(self._decider, model, misses)
         self._vocabulary = Vocabulary(lookup.object_aliases, self._decider.ranks())
         self._rank_of = self._vocabulary.__getitem__
 
@@ -126,18 +131,7 @@ class RoomTables:
         if UNLISTED in ranks:
             ranks.discard(UNLISTED)
             unlisted = self._vocabulary.unlisted(names)
-        known = sorted(ranks)
-        if not (unlisted and self._open.can_ask()):
-            compared = self._decider.compare(known)
-            unknown = tuple(unlisted.values())
-            if compared is not None:
-                # Rooms are sorted and argmax takes the first: a tie goes to the first label.
-                room = self._decider.room_names[compared.argmax()]
-                found = Prediction(self._decider, room, TABLE, known, unknown, compared)
-                return found.unless_unsure() if self.decision.min_probability else found
-            if not known:
-                return Prediction(self._decider, None, NONE, known, unknown)
-        answer = self._open.answer([Question(known, unlisted)])[0]
+        answer = self._answer(sorted(ranks), unlisted)
         return answer.unless_unsure() if self.decision.min_probability else answer
 
     def classify_many(self, rooms: Iterable[Iterable[str]]) -> Predictions:
@@ -149,66 +143,38 @@ class RoomTables:
             The objects of a room are not a list of strings.
         """
         names = [as_names(objects) for objects in rooms]
-        ranks, lengths = batch.ranks_of(names, self._vocabulary)
-        ends = np.cumsum(lengths)
-        starts = ends - lengths
-        best, some = self._best(ranks, lengths)
-        unlisted = self._unlisted(names, ranks, ends)
-        left = set(np.flatnonzero((best < 0) & some).tolist())
-        left |= unlisted.keys() if unlisted and self._open.can_ask() else set()
-
-        def known(at: int) -> list[int]:
-            return sorted(set(ranks[starts[at] : ends[at]].tolist()) - {UNLISTED})
-
-        open_ = sorted(left)
-        asked = self._open.answer([Question(known(at), unlisted.get(at, {})) for at in open_])
-        answers = dict(zip(open_, asked, strict=True))
+        ranked = RankedRooms.of(names, self._vocabulary)
+        best = self._decider.best_of_many(ranked)
+        unlisted = {at: self._vocabulary.unlisted(names[at]) for at in ranked.with_unlisted()}
+        for_model = set(np.flatnonzero(best == ABSENT).tolist())
+        if any(unlisted.values()) and self._model_pass.ranks_unlisted():
+            for_model.update(at for at, spelled in unlisted.items() if spelled)
+        asked = sorted(for_model)
+        questions = [Question(ranked.listed(at), unlisted.get(at, {})) for at in asked]
+        answers = dict(zip(asked, self._model_pass.answer(questions), strict=True))
 
         def predict(at: int) -> Prediction:
             if at in answers:
                 return answers[at]
-            unknown = tuple(unlisted.get(at, {}).values())
-            by = NONE if labels[at] is None else TABLE
-            return Prediction(self._decider, labels[at], by, known(at), unknown)
+            return self._answer(ranked.listed(at), unlisted.get(at, {}))
 
-        room_names: Sequence[str | None] = (*self._decider.room_names, None)
-        labels = [room_names[place] for place in best.tolist()]  # −1, unanswered, is the last
-        for at, prediction in answers.items():
-            labels[at] = prediction.room
+        room_names = self._decider.candidates.names
+        labels: list[str | None] = [room_names[place] for place in best.tolist()]
+        for at, answer in answers.items():  # among them all that are absent from the tables
+            labels[at] = answer.room
         if self.decision.min_probability:
             sure = [predict(at).unless_unsure() for at in range(len(labels))]
             return Predictions([prediction.room for prediction in sure], sure.__getitem__)
         return Predictions(labels, predict)
 
-    def _best(
-        self, ranks: NDArray[np.int64], lengths: NDArray[np.intp]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """The best candidate of each room, −1 for none, and whether it has a known object."""
-        best = np.full(len(lengths), -1)
-        some = np.zeros(len(lengths), np.bool_)
-        ends = np.cumsum(lengths)
-        for start in range(0, len(lengths), _BATCH):
-            rooms = slice(start, start + _BATCH)
-            sizes = lengths[rooms]
-            first = int(ends[start] - lengths[start])
-            part = ranks[first : first + int(sizes.sum())]
-            if self._decider.pools:
-                total, some[rooms] = batch.summed(self._decider.evidence, part, sizes)
-                best[rooms] = np.where(some[rooms], total.argmax(axis=1), -1)
-            else:
-                picked = batch.most_informative(part, sizes, self.lookup.k)
-                some[rooms] = picked[:, 0] > 0
-                best[rooms] = self._decider.best_of_many(picked)
-        return best, some
-
-    def _unlisted(
-        self, names: Sequence[Sequence[str]], ranks: NDArray[np.int64], ends: NDArray[np.intp]
-    ) -> dict[int, dict[str, str]]:
-        """By room, the names that no object bears: normalised → as given."""
-        places = np.flatnonzero(ranks == UNLISTED)
-        rooms = dict.fromkeys(np.searchsorted(ends, places, side="right").tolist())
-        found = {at: self._vocabulary.unlisted(names[at]) for at in rooms}
-        return {at: unlisted for at, unlisted in found.items() if unlisted}
+    def _answer(self, ranks: Sequence[int], unlisted: Mapping[str, str]) -> Prediction:
+        """The answer for listed objects, by rank ascending, and names that no table lists."""
+        ask = unlisted and self._model_pass.ranks_unlisted()
+        compared = None if ask else self._decider.compare(ranks)
+        if compared is None:
+            return self._model_pass.answer([Question(ranks, unlisted)])[0]
+        room = self._decider.best_room(compared)
+        return Prediction(self._decider, room, TABLE, ranks, tuple(unlisted.values()), compared)
 
 
 def _space(tables: Path, labels: str) -> SpaceFolder:
@@ -241,3 +207,45 @@ def _open_version(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:
             f"run `roomtables build --labels {space.labels} --full-refresh`"
         )
     return version, Lookup.open(version.path / LOOKUP, version.manifest, verify)
+
+
+def classify_rooms(
+    tables: RoomTables, rooms: Sequence[Room], weights: str | None = None
+) -> Sequence[Prediction]:
+    """Label rooms, in order; ``weights`` is ``counts``, ``confidences``, or ``None`` for neither.
+
+    Both multiply the weight w(o) of rule ``pooled``: a detection by its confidence, objects of a
+    kind by :func:`~roomtables.online.rules.count_factor` of their number. With counts, an object
+    named twice counts twice; of several confidences the highest counts. A room without these
+    numbers has one of each object, surely detected.
+
+    Raises
+    ------
+    ConfigError
+        There are weights, and the rule is not ``pooled``.
+    InputError
+        A room's counts or confidences are malformed.
+    """
+    if weights is None:
+        return tables.classify_many([room.objects for room in rooms])
+    if tables.decision.rule != POOLED:
+        raise ConfigError(
+            f"weights act on rule {POOLED}, not {tables.decision.rule}; add `--rule {POOLED}`"
+        )
+    factors = [_factors(room, weights, tables.lookup.object_aliases) for room in rooms]
+    predictions = tables.classify_many([room.objects for room in rooms])
+    return [
+        prediction.weighed(of_room).unless_unsure()
+        for prediction, of_room in zip(predictions, factors, strict=True)
+    ]
+
+
+def _factors(room: Room, weights: str, aliases: Mapping[str, str]) -> dict[str, float]:
+    """The factor of each object's weight, by label."""
+    measured: dict[str, list[float]] = defaultdict(list)
+    for name, value in zip(room.objects, room.measured(weights), strict=True):
+        spelled = normalise(name)
+        measured[aliases.get(spelled, spelled)].append(value)
+    if weights == COUNTS:
+        return {label: rules.count_factor(sum(values)) for label, values in measured.items()}
+    return {label: max(values) for label, values in measured.items()}

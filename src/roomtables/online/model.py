@@ -19,7 +19,16 @@ log = logging.getLogger(__name__)
 
 
 class QueryModel:
-    """Scores query sentences that no table holds; says so once where it cannot."""
+    """Scores sentences that no table holds; where it cannot, it says so once.
+
+    Threads may share one: a scorer is asked by one at a time.
+
+    Parameters
+    ----------
+    manifest : of the version whose tables it completes
+    scorer : the language model; by default the one that the tables were built with
+    allowed : whether one may be loaded
+    """
 
     def __init__(
         self, manifest: Manifest, scorer: Scorer | None = None, allowed: bool = True
@@ -29,8 +38,8 @@ class QueryModel:
         self._allowed = allowed
         self._template = Template(manifest.settings.template[0])
         self._reduction: str = manifest.settings.reduction
-        self._lock = threading.Lock()
-        self._scoring = threading.Lock()  # a model answers one thread at a time
+        self._loading = threading.Lock()
+        self._scoring = threading.Lock()
 
     @property
     def labels(self) -> str:
@@ -39,34 +48,34 @@ class QueryModel:
 
     @property
     def extends_tables(self) -> bool:
-        """Whether the model is the one whose scores the co-occurrence tables hold."""
+        """Whether its scores are comparable with those of the co-occurrence tables."""
         return self._manifest.extends_tables
 
     def load(self) -> Scorer | None:
-        """The scorer, or ``None`` where it is not allowed or not installed.
+        """The scorer, or ``None`` where none is allowed or installed.
 
         Raises
         ------
         ModelError
-            The model that the tables were built with is not to be had.
+            The model that the tables were built with cannot be loaded.
         """
-        with self._lock:
+        with self._loading:
             if self._scorer is None and self._allowed:
                 self._scorer = self._load()
                 self._allowed = self._scorer is not None
             return self._scorer
 
     def score(
-        self, asked: Sequence[tuple[Sequence[ObjectLabel], Sequence[RoomLabel]]]
+        self, queries: Sequence[tuple[Sequence[ObjectLabel], Sequence[RoomLabel]]]
     ) -> list[NDArray[np.float64]] | None:
-        """S of the query sentences, ``[rooms]`` in nats per question, all in one batched pass.
+        """S of the sentences about objects and each of some rooms, in one batched pass.
 
-        ``None`` where there is no model.
+        Returns one array ``[rooms]`` in nats per query; ``None`` where there is no model.
         """
         scorer = self.load()
         if scorer is None:
             return None
-        sentences = [self._template.compose(objects, rooms) for objects, rooms in asked]
+        sentences = [self._template.compose(objects, rooms) for objects, rooms in queries]
         with self._scoring:
             scores = iter(scorer.score([text for texts in sentences for text in texts]))
         return [

@@ -1,4 +1,4 @@
-"""Names as a robot gives them → objects as a source ranks them."""
+"""From the names that a robot gives to the ranks of the objects that they name."""
 
 from __future__ import annotations
 
@@ -14,8 +14,13 @@ _REMEMBERED = 50_000  # spellings, so that no stream of names fills the memory
 class Vocabulary(dict[str, int]):
     """Name → rank of the object it names (1 = most informative), or ``UNLISTED``.
 
-    A dictionary that learns: a spelling seen before costs one look-up, a new one is normalised.
-    Safe to share among threads, which can only learn the same twice.
+    A new spelling is normalised and remembered, so that it costs one look-up the next time. Threads
+    may share one: all they can do is remember the same twice.
+
+    Parameters
+    ----------
+    aliases : normalised name → label
+    ranks : label → rank
     """
 
     def __init__(self, aliases: Mapping[str, str], ranks: Mapping[str, int]) -> None:
@@ -33,11 +38,11 @@ class Vocabulary(dict[str, int]):
 
     def unlisted(self, names: Iterable[str]) -> dict[str, str]:
         """The names that no object bears, once each: normalised → as first given."""
-        found: dict[str, str] = {}
+        unlisted: dict[str, str] = {}
         for name in names:
             if self[name] == UNLISTED and (spelled := normalise(name)):
-                found.setdefault(spelled, name)
-        return found
+                unlisted.setdefault(spelled, name)
+        return unlisted
 
 
 def as_names(objects: Iterable[str]) -> Sequence[str]:
@@ -46,7 +51,7 @@ def as_names(objects: Iterable[str]) -> Sequence[str]:
     Raises
     ------
     InputError
-        They are one string, whose letters nobody means.
+        They are one string: a list of names is missing its brackets.
     """
     if isinstance(objects, str):
         raise InputError(f"objects must be a list of names, not {objects!r}; give [{objects!r}]")

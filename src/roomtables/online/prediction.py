@@ -9,9 +9,11 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from roomtables.online.decision import AUTO, KnownObject, TableDecider
+from roomtables.online.decider import Decider, UnlistedObject, WeighedObjects
+from roomtables.online.decision import AUTO
 from roomtables.online.rules import log_softmax
 
+# What answered: the tables, the language model, or nothing.
 TABLE = "table"
 LM = "lm"
 NONE = "none"
@@ -49,70 +51,47 @@ class Evidence:
         return asdict(self) | {"difference_nats": self.difference_nats}
 
 
+@dataclass(slots=True, eq=False, repr=False)
 class Prediction:
-    """The room that a rule chose, and why; what costs time is computed when asked for.
+    """The room that a rule chose, and by which numbers; why is computed when asked for.
 
     Attributes
     ----------
+    decider : the tables under the decision that was asked for, which can explain the answer
     room : the label, or ``None`` where nothing can answer, or the answer is too unsure
-    reason : why a room is left without an answer that there is; ``None`` otherwise
-    unknown_objects : names, as given, that nothing could make use of
     answered_by : ``table``, ``lm`` or ``none``
+    ranks : of the room's listed objects, ascending
+    unknown_objects : names, as given, that nothing could make use of
+    compared : ``[candidates]``, what the rule compared, in nats; ``None`` if unanswered
+    unlisted : the room's objects that only the model knows
+    weight_factors : of the objects' weights, by label; 1 for those left out
+    reason : why a room is left without an answer that there is; ``None`` otherwise
     """
 
-    __slots__ = (
-        "_compared", "_decider", "_known", "answered_by", "reason", "room", "unknown_objects",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        decider: TableDecider,
-        room: str | None,
-        answered_by: str,
-        known: Sequence[int | KnownObject],
-        unknown_objects: tuple[str, ...] = (),
-        compared: NDArray[np.floating[Any]] | None = None,
-    ) -> None:
-        self._decider = decider
-        self.room = room
-        self.answered_by = answered_by
-        self._known = known
-        self.unknown_objects = unknown_objects
-        self._compared = compared
-        self.reason: str | None = None
+    decider: Decider
+    room: str | None
+    answered_by: str
+    ranks: Sequence[int]
+    unknown_objects: tuple[str, ...] = ()
+    compared: NDArray[np.floating[Any]] | None = None
+    unlisted: tuple[UnlistedObject, ...] = ()
+    weight_factors: Mapping[str, float] | None = None
+    reason: str | None = None
 
     @property
     def rule(self) -> str:
         """The rule that decided."""
-        return self._decider.decision.rule
+        return self.decider.decision.rule
 
     @property
     def source(self) -> str:
         """Whose co-occurrence decided."""
-        return self._decider.decision.source
-
-    @property
-    def known_objects(self) -> tuple[KnownObject, ...]:
-        """All objects of the room that a rule can use, most informative first."""
-        find = self._decider.known_object
-        return tuple(find(known) if isinstance(known, int) else known for known in self._known)
+        return self.decider.decision.source
 
     @property
     def objects(self) -> tuple[str, ...]:
         """The picked objects, most informative first: also their order in the sentence."""
-        find = self._decider.known_object
-        picked = self._known[: self._decider.k]
-        return tuple((find(o) if isinstance(o, int) else o).label.label for o in picked)
-
-    @property
-    def compared(self) -> NDArray[np.float64] | None:
-        """What the rule compared, ``[candidates]`` in nats; ``None`` if unanswered."""
-        if self.answered_by == NONE:
-            return None
-        if self._compared is None:
-            ranks = [known for known in self._known if isinstance(known, int)]
-            self._compared = self._decider.compare(ranks)
-        return np.asarray(self._compared, np.float64)
+        return tuple(picked.label for picked in self.decider.pick(self.ranks, self.unlisted))
 
     @property
     def temperature(self) -> float:
@@ -122,20 +101,20 @@ class Prediction:
         objects' weighted geometric mean instead of their product, which takes for granted that
         they are independent.
         """
-        wanted = self._decider.decision.temperature
+        wanted = self.decider.decision.temperature
         if wanted != AUTO:
             return wanted
-        total = sum(known.weight for known in self.known_objects) if self._decider.pools else 1.0
+        total = float(self._weighed_objects.weights.sum()) if self.decider.pools else 1.0
         return total or 1.0
 
     @property
     def probabilities(self) -> dict[str, float]:
         """Softmax over the candidate rooms of what the rule compares; empty if unanswered."""
-        compared = self.compared
-        if compared is None:
+        if self.compared is None:
             return {}
+        compared = np.asarray(self.compared, np.float64)
         values = np.exp(log_softmax(compared / self.temperature)).tolist()
-        return dict(zip(self._decider.room_names, values, strict=True))
+        return dict(zip(self.decider.candidates.names, values, strict=True))
 
     @property
     def probability(self) -> float | None:
@@ -149,51 +128,49 @@ class Prediction:
         Under rule ``pooled`` the numbers add up to what is compared. The other rules score one
         sentence as a whole: there they are what each object says alone.
         """
-        compared = self.compared
-        if compared is None:
+        if self.compared is None:
             return ()
-        best, runner_up = [*np.argsort(-compared, kind="stable").tolist(), None][:2]
-        names, pools = self._decider.room_names, self._decider.pools
+        best, *others = np.argsort(-self.compared, kind="stable").tolist()
+        second = others[0] if others else None
+        names, said = self.decider.candidates.names, self._weighed_objects
+        counted = len(said.labels) if self.decider.pools else self.decider.lookup.k
         return tuple(
             Evidence(
-                known.label.label,
-                pools or place < self._decider.k,
-                known.weight,
+                label,
+                place < counted,
+                float(said.weights[place]),
                 names[best],
-                float(known.evidence[best]),
-                None if runner_up is None else names[runner_up],
-                None if runner_up is None else float(known.evidence[runner_up]),
+                float(said.evidence[place, best]),
+                None if second is None else names[second],
+                None if second is None else float(said.evidence[place, second]),
             )
-            for place, known in enumerate(self.known_objects)
+            for place, label in enumerate(said.labels)
         )
+
+    @property
+    def _weighed_objects(self) -> WeighedObjects:
+        return self.decider.weigh(self.ranks, self.unlisted, self.weight_factors)
+
+    def answered(self, compared: NDArray[np.floating[Any]], answered_by: str) -> Prediction:
+        """The same room, answered with the best of what was compared."""
+        room = self.decider.best_room(compared)
+        return replace(self, room=room, compared=compared, answered_by=answered_by, reason=None)
 
     def weighed(self, factors: Mapping[str, float]) -> Prediction:
         """The same room under rule ``pooled`` with objects' weights times a factor, by label."""
-        known = [
-            replace(o, evidence=f * o.evidence, weight=f * o.weight)
-            if (f := factors.get(o.label.label, 1.0))
-            else replace(o, evidence=np.zeros_like(o.evidence), weight=0.0)
-            for o in self.known_objects
-        ]
-        if not known:
+        if self.compared is None:
             return self
-        compared = np.add.reduce([o.evidence for o in known], axis=0)
-        room = self._decider.room_names[int(compared.argmax())]
-        return Prediction(
-            self._decider, room, self.answered_by, known, self.unknown_objects, compared
-        )
+        factored = replace(self, weight_factors=factors)
+        return factored.answered(factored._weighed_objects.compared, self.answered_by)
 
     def unless_unsure(self) -> Prediction:
         """The prediction, or one without a room where that is below the decision's minimum."""
-        least = self._decider.decision.min_probability
+        least = self.decider.decision.min_probability
         probability = self.probability
         if self.room is None or probability is None or probability >= least:
             return self
-        unsure = Prediction(
-            self._decider, None, self.answered_by, self._known, self.unknown_objects, self._compared
-        )
-        unsure.reason = f"{self.room} has probability {probability:.3g}, below {least:g}"
-        return unsure
+        reason = f"{self.room} has probability {probability:.3g}, below {least:g}"
+        return replace(self, room=None, reason=reason)
 
     def top(self, n: int) -> list[tuple[str, float]]:
         """The ``n`` most probable rooms, best first."""
@@ -202,7 +179,7 @@ class Prediction:
     def as_json(self, room_id: str | None = None) -> dict[str, Any]:
         """The prediction under the contract's keys."""
         probabilities = self.probabilities
-        unsure = {"reason": self.reason} if self._decider.decision.min_probability else {}
+        unsure = {"reason": self.reason} if self.decider.decision.min_probability else {}
         return {
             "room_id": room_id,
             "room": self.room,

@@ -1,20 +1,26 @@
-"""How a room is decided: arithmetic on scores, numpy only.
+"""The formulas by which a room is decided: arithmetic on scores, with numpy alone.
 
-All arrays are in nats; the last axis runs over the candidate rooms.
+Scores and log probabilities are in nats; the last axis of an array runs over rooms. S(o, r) is the
+score of the sentence about object o and room r.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from roomtables.schemas import PROXY
+from roomtables.schemas import ENTROPY_DECIMALS, PROXY
 
 Array = NDArray[np.float64]
 
 
 def log_softmax(scores: Array) -> Array:
-    """Log probabilities of scores, over the last axis; a row of nothing but −inf is uniform."""
+    """L = log softmax of S over the rooms (paper equation 2, as logarithms), shaped as the scores.
+
+    Where all rooms are impossible (−inf), all are alike.
+    """
     highest = np.max(scores, axis=-1, keepdims=True)
     hopeless = np.isneginf(highest)
     shifted = np.where(hopeless, 0.0, scores - np.where(hopeless, 0.0, highest))
@@ -23,52 +29,66 @@ def log_softmax(scores: Array) -> Array:
 
 
 def entropy(log_probabilities: Array) -> Array:
-    """H = −Σ p log p over the last axis (paper equation 3); p = 0 adds nothing."""
+    """H = −Σ p log p over the rooms (paper equation 3), in nats; p = 0 adds nothing.
+
+    ``[…, rooms]`` → ``[…]``.
+    """
     p = np.exp(log_probabilities)
     finite = np.where(p > 0, log_probabilities, 0.0)
     result: Array = np.maximum(-np.sum(p * finite, axis=-1), 0.0)
     return result
 
 
+def rank_key(entropy_nats: float, label: str) -> tuple[float, str]:
+    """What objects are ranked by: least entropy H first; where that is equal, by label."""
+    return round(entropy_nats, ENTROPY_DECIMALS), label
+
+
 def room_bias(room_logits: Array) -> Array:
-    """b: the mean over objects of L = log softmax of S; ``[objects, rooms]`` → ``[rooms]``."""
+    """b(r) = mean over objects of L(o, r): how much a model likes a room, whatever the object.
+
+    ``[objects, rooms]`` of S → ``[rooms]``, in nats.
+    """
     result: Array = np.mean(log_softmax(room_logits), axis=0)
     return result
 
 
-def adjusted(room_logits: Array, bias: Array, prior_weight: float) -> Array:
-    """L′ = log softmax of (L − λ b): what each object says of each room, ``[objects, rooms]``."""
-    return log_softmax(log_softmax(room_logits) - prior_weight * bias)
-
-
 def effective_prior_weight(source: str, prior_weight: float) -> float:
-    """λ as it acts on evidence: 0 unless the source is a language model's proxy.
-
-    Counts have no taste in rooms to take away.
-    """
+    """λ as it acts on the evidence of single objects: 0 for counts, which have no bias."""
     return prior_weight if source == PROXY else 0.0
 
 
-def evidence_weights(adjusted_scores: Array, evidence_power: float) -> Array:
-    """w(o) = (log n − H′)^γ, ``[objects]``: an object that says nothing of the room weighs nothing.
+def adjusted(room_logits: Array, bias: Array, prior_weight: float) -> Array:
+    """L′ = log softmax of (L − λ b): what an object says of each room, less the model's bias.
 
-    H′ is the entropy of L′ in nats and n the number of rooms.
+    ``[…, rooms]`` of S → ``[…, rooms]``, in nats.
+    """
+    return log_softmax(log_softmax(room_logits) - prior_weight * bias)
+
+
+def evidence_weights(adjusted_scores: Array, evidence_power: float) -> Array:
+    """w(o) = (log n − H′)^γ, with H′ the entropy of L′ over n rooms: ``[…, rooms]`` → ``[…]``.
+
+    An object that says nothing of the room weighs nothing (but 1 where γ is 0).
     """
     informativeness = np.log(adjusted_scores.shape[-1]) - entropy(adjusted_scores)
     result: Array = np.power(np.maximum(informativeness, 0.0), evidence_power)
     return result
 
 
-def weighed(adjusted_scores: Array, weights: Array) -> Array:
-    """w(o) L′(o, r), ``[objects, rooms]``; an object without weight adds nothing, not 0 × −inf."""
+def count_factor(n: float) -> float:
+    """1 + ln n: what n objects of a kind multiply w(o) by; below one object, n itself.
+
+    Sublinear term weighting: ten chairs say more than one, but not ten times as much.
+    """
+    return 1 + math.log(n) if n >= 1 else n
+
+
+def evidence(adjusted_scores: Array, weights: Array) -> Array:
+    """w(o) L′(o, r): what each object adds to each room under rule ``pooled``, in nats.
+
+    ``[…, rooms]`` and ``[…]`` → ``[…, rooms]``. An object without weight adds 0, not 0 × −inf.
+    """
     factors = weights[..., np.newaxis]
     with np.errstate(invalid="ignore"):
         return np.where(factors > 0, factors * adjusted_scores, 0.0)
-
-
-def pooled_evidence(
-    room_logits: Array, bias: Array, prior_weight: float, evidence_power: float
-) -> Array:
-    """What each object adds to each room under rule ``pooled``, ``[objects, rooms]``."""
-    scores = adjusted(room_logits, bias, prior_weight)
-    return weighed(scores, evidence_weights(scores, evidence_power))

@@ -1,8 +1,7 @@
 """Label a running robot's rooms: graphs in over ZMQ, the same graphs with named rooms out.
 
-This module knows neither what a graph looks like on the wire (a ``Codec`` does) nor how a room is
-decided. A room whose objects have not changed costs one dictionary lookup. Needs ``pyzmq``, of the
-extra ``scene-graphs``.
+What a graph looks like on the wire is a :class:`Codec`'s business. A room whose objects have not
+changed costs one dictionary lookup. Needs ``pyzmq``, of the extra ``scene-graphs``.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from roomtables.schemas import POOLED
 log = logging.getLogger(__name__)
 
 _POLL_MS = 100
-_LARGEST_MESSAGE = 256 << 20
-_MOST_ANSWERS = 65_536
-_MOST_QUESTIONS = 256
-_LATENCIES = 1_000
+_LARGEST_MESSAGE = 256 << 20  # bytes
+_MOST_ANSWERS = 65_536  # remembered, by a room's objects
+_MOST_PENDING = 256  # rooms that wait for the language model
+_LATENCIES = 1_000  # of which the median is shown
 
 
 class LiveScene(Protocol):
@@ -47,95 +46,112 @@ class LiveScene(Protocol):
 
 
 class Codec(Protocol):
-    """Makes scenes of messages; `InputError` for what is none."""
+    """Decodes messages."""
 
-    def decode(self, message: bytes) -> LiveScene: ...
+    def decode(self, message: bytes) -> LiveScene:
+        """The scene in a message; `InputError` where it holds none."""
+        ...
 
 
-Name = Callable[[Any, Mapping[str, Prediction]], None]
+# Writes answers into a decoded scene, by room id.
+NameRooms = Callable[[Any, Mapping[str, Prediction]], None]
 
 
 class Labeller:
-    """Answers rooms at once, from the tables, and better when a language model has spoken.
+    """Answers rooms at once, from the tables; the language model's answers come later.
+
+    Answers are remembered by a room's objects.
 
     Parameters
     ----------
     tables
         Opened offline: answers what the tables hold; rule ``pooled`` answers the rest.
-    asking
-        The same tables with the language model allowed, or None; asked by a thread of its own.
+    with_model
+        The same tables with the language model allowed, or ``None``. A thread of its own asks it
+        for what the tables do not hold.
     """
 
-    def __init__(self, tables: RoomTables, asking: RoomTables | None = None) -> None:
+    def __init__(self, tables: RoomTables, with_model: RoomTables | None = None) -> None:
         self._tables = tables
         self._pooled = tables.deciding(rule=POOLED)
-        self._asking = asking
+        self._with_model = with_model
         self._answers: OrderedDict[frozenset[str], Prediction] = OrderedDict()
-        self._questions: Queue[frozenset[str] | None] = Queue(_MOST_QUESTIONS)
-        self._news: Queue[tuple[frozenset[str], Prediction]] = Queue()
+        self._pending: Queue[frozenset[str] | None] = Queue(_MOST_PENDING)
+        self._model_answers: Queue[tuple[frozenset[str], Prediction]] = Queue()
         self._thread: threading.Thread | None = None
 
     def label(self, rooms: Mapping[str, Iterable[str]]) -> dict[str, Prediction]:
         """The answer for each room, by id."""
         return {key: self._answer(frozenset(objects)) for key, objects in rooms.items()}
 
-    def learn(self) -> bool:
-        """Take in what the language model has answered since; whether there was anything."""
-        learnt = False
+    def take_model_answers(self) -> bool:
+        """Take over what the language model has answered since; whether there was anything."""
+        taken = False
         while True:
             try:
-                objects, answer = self._news.get_nowait()
+                objects, answer = self._model_answers.get_nowait()
             except Empty:
-                return learnt
-            self._answers[objects] = answer
-            learnt = True
+                return taken
+            self._remember(objects, answer)
+            taken = True
 
     def close(self) -> None:
-        """Let the model's thread end with the question it is at."""
+        """Let the model's thread end with the room it is at."""
         if self._thread is not None and self._thread.is_alive():
             with suppress(Empty):
                 while True:
-                    self._questions.get_nowait()
-            self._questions.put(None)
+                    self._pending.get_nowait()
+            self._pending.put(None)
 
     def _answer(self, objects: frozenset[str]) -> Prediction:
         answer = self._answers.get(objects)
         if answer is None:
             answer = self._tables.classify(sorted(objects))
             if answer.answered_by == NONE and objects:
-                self._ask(objects)
+                self._ask_later(objects)
                 answer = self._pooled.classify(sorted(objects))
-            self._answers[objects] = answer
-            if len(self._answers) > _MOST_ANSWERS:
-                self._answers.popitem(last=False)
+            self._remember(objects, answer)
         return answer
 
-    def _ask(self, objects: frozenset[str]) -> None:
-        if self._asking is None:
+    def _remember(self, objects: frozenset[str], answer: Prediction) -> None:
+        self._answers[objects] = answer
+        if len(self._answers) > _MOST_ANSWERS:
+            self._answers.popitem(last=False)
+
+    def _ask_later(self, objects: frozenset[str]) -> None:
+        if self._with_model is None:
             return
         if self._thread is None:
             self._thread = threading.Thread(target=self._ask_model, name="model", daemon=True)
             self._thread.start()
         try:
-            self._questions.put_nowait(objects)
+            self._pending.put_nowait(objects)
         except Full:
-            log.warning("the model is %d questions behind; one is dropped", _MOST_QUESTIONS)
+            log.warning("the model is %d questions behind; one is dropped", _MOST_PENDING)
 
     def _ask_model(self) -> None:
-        while self._asking is not None and (objects := self._questions.get()) is not None:
+        """The thread's work: ask about one room after the other, until close or a failure."""
+        while self._with_model is not None and (objects := self._pending.get()) is not None:
             try:
-                answer = self._asking.classify(sorted(objects))
+                answer = self._with_model.classify(sorted(objects))
             except (RoomtablesError, MemoryError) as error:
                 log.warning("no model from here on (%s); rule pooled stands", error)
-                self._asking = None
+                self._with_model = None
                 return
             if answer.answered_by == LM:
-                self._news.put((objects, answer))
+                self._model_answers.put((objects, answer))
 
 
 @dataclass
 class Counters:
-    """What a service has done; one line of it goes to stderr now and then."""
+    """What a service has done.
+
+    Attributes
+    ----------
+    received, published, dropped : how many graphs
+    rooms : of the last graph, by how they were answered
+    latencies : seconds from a graph's receipt to its publication, the last thousand
+    """
 
     received: int = 0
     published: int = 0
@@ -144,7 +160,7 @@ class Counters:
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=_LATENCIES))
 
     def line(self) -> str:
-        """Counters in a line; the median is of the last thousand graphs, in milliseconds."""
+        """The counters in a line; the median is of the last thousand graphs."""
         rooms = ", ".join(f"{count} {how}" for how, count in sorted(self.rooms.items())) or "none"
         taken = f"{1e3 * statistics.median(self.latencies):.1f} ms" if self.latencies else "n/a"
         return (
@@ -158,10 +174,8 @@ class Service:
 
     Parameters
     ----------
-    codec, labeller
-        What reads graphs, and what answers rooms.
-    name
-        Writes answers into a decoded graph.
+    codec, labeller, name_rooms
+        What reads graphs, what answers their rooms, and what writes the answers in.
     receive, send
         ZMQ addresses: subscribes to the first (connects), publishes on the second (binds).
 
@@ -174,14 +188,14 @@ class Service:
     """
 
     def __init__(
-        self, codec: Codec, labeller: Labeller, name: Name, receive: str, send: str
+        self, codec: Codec, labeller: Labeller, name_rooms: NameRooms, receive: str, send: str
     ) -> None:
-        self._codec, self._labeller, self._name = codec, labeller, name
+        self._codec, self._labeller, self._name_rooms = codec, labeller, name_rooms
         self._receive_url = receive
         self.counters = Counters()
-        self._last: bytes | None = None
+        self._received: bytes | None = None  # the message that the scene was decoded from
         self._scene: LiveScene | None = None
-        self._message = b""
+        self._labelled = b""
         self._complaints: Counter[str] = Counter()
         zmq = _zmq()
         self._context = zmq.Context()
@@ -219,13 +233,14 @@ class Service:
         self._context.destroy(linger=0)
 
     def run(self, stop: threading.Event, report_every: float = 10.0) -> None:
-        """Label graphs until ``stop`` is set; seconds between two lines of counters."""
+        """Label graphs until ``stop`` is set; every ``report_every`` seconds log the counters."""
         due, before = time.monotonic() + report_every, 0
         while not stop.is_set():
             if self._in.poll(_POLL_MS):
                 self._take(self._in.recv())
-            if self._labeller.learn() and self._scene is not None:
-                self._publish(self._scene)
+            if self._labeller.take_model_answers() and self._scene is not None:
+                self._label(self._scene)
+                self._send()
             if time.monotonic() >= due:
                 self._report(idle=self.counters.received == before)
                 due, before = time.monotonic() + report_every, self.counters.received
@@ -237,14 +252,14 @@ class Service:
     def _take(self, message: bytes) -> None:
         started = time.perf_counter()
         self.counters.received += 1
-        if message != self._last or self._scene is None:
+        if message != self._received or self._scene is None:
             try:
                 scene = self._codec.decode(message)
                 self._label(scene)
             except (InputError, MemoryError) as error:
                 self._drop(message, str(error) or "out of memory")
                 return
-            self._last, self._scene = message, scene
+            self._received, self._scene = message, scene
         self._send()
         self.counters.latencies.append(time.perf_counter() - started)
 
@@ -258,16 +273,12 @@ class Service:
     def _label(self, scene: LiveScene) -> None:
         answers = self._labeller.label(scene.rooms)
         named = {key: answer for key, answer in answers.items() if answer.room is not None}
-        self._name(scene, named)
+        self._name_rooms(scene, named)
         self.counters.rooms = Counter(map(_how, answers.values()))
-        self._message = scene.encode()
-
-    def _publish(self, scene: LiveScene) -> None:
-        self._label(scene)
-        self._send()
+        self._labelled = scene.encode()
 
     def _send(self) -> None:
-        self._out.send(self._message)
+        self._out.send(self._labelled)
         self.counters.published += 1
 
 

@@ -148,13 +148,9 @@ class _SmallTables:
 
     def arrays(self, source: str, labels: LabelSpace) -> dict[str, NDArray[Any]]:
         """A source's small arrays, as :class:`~roomtables.storage.lookup.SourceArrays` has them."""
-        logit = "score" if source == PROXY else "ln(p_room_given_object)"
-        logits = self._column(
-            f"case when p_room_given_object > 0 then {logit} else '-inf'::double end",
-            "cooccurrence",
-            "object, room",
-            source,
-        )
+        log_p = "if(p_room_given_object > 0, ln(p_room_given_object), '-inf'::double)"
+        logit = "score" if source == PROXY else log_p
+        logits = self._column(logit, "cooccurrence", "object, room", source)
         return {
             "entropy": self._column("entropy_nats", "entropy", "object", source),
             "ranks": self._column("rank", "entropy", "object", source),

@@ -1,11 +1,13 @@
 """SQL over the published tables: every table a view, nothing to write.
 
-``pipeline/views`` holds further views, ``pipeline/macros`` functions that return tables. Their
-first comment line is what they are described as.
+``pipeline/views`` holds further views, ``pipeline/macros`` functions. A view's first comment line
+says what it holds; a macro's first two lines say how it is called, and what it returns.
 """
 
 from __future__ import annotations
 
+import re
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,9 @@ from roomtables.storage.versions import Version
 def connect(tables: Path, version: Version, database: Path | str = ":memory:") -> Any:
     """A DuckDB connection with a view for every table of the version, and the macros.
 
-    Files outside the tables folder cannot be read, and settings cannot be changed. ``database`` is
-    a new file to hold the views for another program; the tables stay where they are.
+    View ``decision`` holds how the version decides: what the macros go by where nothing else is
+    said. Files outside the tables folder cannot be read, and settings cannot be changed.
+    ``database`` is a new file to hold the views for another program; the tables are not copied.
     """
     import duckdb
 
@@ -35,11 +38,13 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
         )
     _sentence_scores(connection, tables)
     _misses(connection, version)
-    for path in _in_order(pipeline_folder() / "views"):
+    _decision(connection, version)
+    for path in _in_order(*_paths("views"), *_paths("macros")):
         text = path.read_text(encoding="utf-8")
-        _view(connection, path.stem, text, _described(text))
-    for path in sorted((pipeline_folder() / "macros").glob("*.sql")):
-        connection.execute(path.read_text(encoding="utf-8"))
+        if path.parent.name == "macros":
+            connection.execute(text)
+        else:
+            _view(connection, path.stem, text, _described(text))
     connection.execute(f"set allowed_directories = [{literal(tables.resolve())}]")
     connection.execute("set enable_external_access = false")
     connection.execute("set lock_configuration = true")
@@ -52,7 +57,7 @@ def guide(connection: Any) -> list[dict[str, str]]:
         "select view_name, comment from duckdb_views() where not internal order by 1"
     ).fetchall()
     rows = [{"name": name, "holds": comment or ""} for name, comment in views]
-    for path in sorted((pipeline_folder() / "macros").glob("*.sql")):
+    for path in _paths("macros"):
         lines = path.read_text(encoding="utf-8").splitlines()
         call, meaning = (line.removeprefix("-- ").rstrip(":") for line in lines[:2])
         rows.append({"name": call, "holds": meaning})
@@ -68,20 +73,35 @@ def _described(text: str) -> str:
     return text.splitlines()[0].removeprefix("-- ").rstrip(".")
 
 
-def _in_order(folder: Path) -> list[Path]:
-    """The views, those that another one reads before it."""
-    texts = {path: path.read_text(encoding="utf-8") for path in sorted(folder.glob("*.sql"))}
-    ordered: list[Path] = []
-    while texts:
-        ready = [
-            path
-            for path, text in texts.items()
-            if not any(other.stem in text.split() for other in texts if other != path)
-        ]
-        for path in ready or list(texts):
-            ordered.append(path)
-            del texts[path]
-    return ordered
+def _paths(kind: str) -> list[Path]:
+    return sorted((pipeline_folder() / kind).glob("*.sql"))
+
+
+def _in_order(*paths: Path) -> list[Path]:
+    """Views and macros, each behind those that it reads."""
+    names = {path.stem: path for path in paths}
+    reads = {
+        path: [names[word] for word in sorted(_words(path) & names.keys() - {path.stem})]
+        for path in paths
+    }
+    return list(TopologicalSorter(reads).static_order())
+
+
+def _words(path: Path) -> set[str]:
+    """The words of a file of SQL, without its comments."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return set(re.findall(r"\w+", " ".join(line for line in lines if not line.startswith("--"))))
+
+
+def _decision(connection: Any, version: Version) -> None:
+    """How the published version decides, from the settings in its manifest."""
+    settings = version.manifest.settings
+    query = (
+        f"select {literal(settings.source)} as source, {literal(settings.rule)} as rule, "
+        f"{settings.prior_weight!r}::double as prior_weight, "
+        f"{settings.evidence_power!r}::double as evidence_power, {settings.k} as k"
+    )
+    _view(connection, "decision", query, "one row: how the published version decides")
 
 
 def _sentence_scores(connection: Any, tables: Path) -> None:

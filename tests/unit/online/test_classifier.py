@@ -67,7 +67,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def plain(rule: str, source: str, held: bool = True, **more: object) -> PlainDecision:
     scorer = HashScorer()
     some = None if held else {frozenset(objects) for objects in LOGGED}
-    decision = {"rule": rule, "source": source, "held": some, **more}
+    decision = {"rule": rule, "source": source, "combinations": some, **more}
     score = cache(lambda text: scorer.score_of(text).log_prob)
     return PlainDecision(SPACE, score, COUNTS, **decision)  # type: ignore[arg-type]
 

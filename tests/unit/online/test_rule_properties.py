@@ -1,6 +1,7 @@
 """What must hold of every table: properties, and the naive product as independent reference."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,14 @@ from hypothesis.extra.numpy import arrays
 
 from roomtables import RoomTables, build
 from roomtables.errors import InputError, ModelError
+from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel
 from roomtables.online import rules
+from roomtables.online.decision import Decision
+from roomtables.online.model import QueryModel
 from roomtables.scorer import SentenceScore
-from support import HashScorer, small_space, write_space
+from roomtables.storage.lookup import Lookup, SourceArrays
+from roomtables.storage.versions import Version
+from support import HashScorer, made_manifest, small_space, write_space
 
 SCORES = arrays(np.float64, st.tuples(st.integers(1, 5), st.integers(1, 6)),
                 elements=st.floats(-400, 0))  # fmt: skip
@@ -27,39 +33,64 @@ def test_probabilities_sum_to_one_and_entropy_is_in_range(scores):
     assert (entropies <= math.log(scores.shape[1]) + 1e-9).all()
 
 
+def pooled(scores, bias=None, prior_weight=0.5, evidence_power=3.0):
+    """The answer by rule pooled for a room of all the objects that have these S(o, r)."""
+    objects, rooms = ([chr(ord("a") + at) for at in range(size)] for size in scores.shape)
+    space = LabelSpace(
+        "letters",
+        tuple(ObjectLabel(label, f"many {label}") for label in objects),
+        tuple(RoomLabel(label, "a") for label in rooms),
+    )
+    arrays = SourceArrays(
+        entropy=np.arange(len(objects), dtype=float),
+        ranks=np.arange(1, 1 + len(objects)),
+        room_logits=scores,
+        bias=rules.room_bias(scores) if bias is None else bias,
+        keys=np.zeros(0, np.uint64),
+        scores=np.zeros((0, len(rooms)), np.float32),
+    )
+    lookup = Lookup(
+        space.objects, space.rooms, space.object_aliases, space.room_aliases,
+        3, ("{objects} {room}",), "sum", {"proxy": arrays},
+    )  # fmt: skip
+    manifest = made_manifest(Path("nowhere"), labels=space.name)
+    model = QueryModel(manifest, allowed=False)
+    decision = Decision("pooled", "proxy", prior_weight, evidence_power)
+    return RoomTables(Version(Path(), manifest), lookup, model, decision).classify(objects)
+
+
 @given(SCORES)
 def test_without_prior_and_power_it_is_the_naive_product(scores):
-    bias = rules.room_bias(scores)
-    pooled = rules.pooled_evidence(scores, bias, 0.0, 0.0).sum(axis=0)
     product = np.zeros(scores.shape[1])
     for row in scores.tolist():
         highest = max(row)
         total = math.log(sum(math.exp(s - highest) for s in row))
         product += [s - highest - total for s in row]
-    assert pooled == pytest.approx(product, rel=1e-9, abs=1e-9)
+    found = pooled(scores, prior_weight=0.0, evidence_power=0.0).compared
+    assert found == pytest.approx(product, rel=1e-9, abs=1e-9)
 
 
 @given(SCORES, st.floats(0, 2), st.floats(0, 4), st.randoms())
 def test_the_order_of_rooms_changes_nothing(scores, prior_weight, evidence_power, random):
     order = list(range(scores.shape[1]))
     random.shuffle(order)
-    bias = rules.room_bias(scores)
-    plain = rules.pooled_evidence(scores, bias, prior_weight, evidence_power)
-    permuted = rules.pooled_evidence(scores[:, order], bias[order], prior_weight, evidence_power)
-    assert permuted == pytest.approx(plain[:, order], rel=1e-6, abs=1e-6)
+    plain, permuted = (
+        pooled(array, None, prior_weight, evidence_power).compared
+        for array in (scores, scores[:, order])
+    )
+    assert permuted == pytest.approx(plain[order], rel=1e-6, abs=1e-6)
 
 
 def test_equal_scores_say_nothing_and_impossible_ones_no_nan():
-    equal = np.zeros((1, 4))
-    assert np.all(rules.pooled_evidence(equal, np.zeros(4), 0.5, 3.0) == 0)
+    assert np.all(pooled(np.zeros((1, 4))).compared == 0)
     hopeless = np.full((1, 4), -np.inf)
     assert np.exp(rules.log_softmax(hopeless)) == pytest.approx(0.25)
     one = np.array([[0.0, -np.inf, -np.inf, -np.inf]])
-    found = rules.pooled_evidence(one, np.zeros(4), 0.0, 3.0)
-    assert found[0, 0] == 0
-    assert np.isneginf(found[0, 1:]).all()
+    found = pooled(one, bias=np.zeros(4))
+    assert found.compared[0] == 0
+    assert np.isneginf(found.compared[1:]).all()
     # An object that is sure of another room, but of which nothing is believed: no 0 × −inf.
-    assert np.all(rules.weighed(rules.log_softmax(one), np.zeros(1)) == 0)
+    assert np.all(found.weighed({"a": 0.0}).compared == 0)
 
 
 @pytest.fixture(scope="module")

@@ -77,7 +77,7 @@ def opened(tables: Path) -> RoomTables:
 class Wire:
     """A service between a real sender and a real receiver, in a thread of its own."""
 
-    def __init__(self, opened: RoomTables, asking: RoomTables | None = None) -> None:
+    def __init__(self, opened: RoomTables, with_model: RoomTables | None = None) -> None:
         self.recv, self.send = free_url(), free_url()
         self.context = zmq.Context()
 
@@ -86,7 +86,7 @@ class Wire:
         def name(graph: Any, answers: Any) -> None:
             graph.name_rooms(namer(answers), ["bedroom", "kitchen", "office"])
 
-        labeller = Labeller(opened, asking)
+        labeller = Labeller(opened, with_model)
         self.service = Service(GraphCodec(), labeller, name, self.recv, self.send)
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self.service.run, args=(self.stop, 0.2), daemon=True)
@@ -219,7 +219,7 @@ def test_what_no_table_holds_is_pooled_at_once_and_asked_of_the_model(sparse: Pa
     first = labeller.label({"R0": ("oven", "fridge")})["R0"]
     assert (first.room, first.rule) == ("kitchen", "pooled")
     deadline = time.monotonic() + 20
-    while not labeller.learn() and time.monotonic() < deadline:
+    while not labeller.take_model_answers() and time.monotonic() < deadline:
         time.sleep(0.01)
     second = labeller.label({"R0": ("fridge", "oven")})["R0"]
     assert (second.room, second.rule, second.answered_by) == ("kitchen", "query", "lm")
@@ -232,7 +232,7 @@ def test_without_a_model_the_pooled_answer_stands(sparse: Path) -> None:
     answers = labeller.label({"R0": ("oven",), "R1": ()})
     assert answers["R0"].rule == "pooled"
     assert answers["R1"].room is None
-    assert not labeller.learn()
+    assert not labeller.take_model_answers()
     labeller.close()
 
 
@@ -245,8 +245,8 @@ def test_a_model_that_fails_is_told_once_and_asked_no_more(
             raise ModelError("out of order")
 
     scorer = Failing()
-    asking = RoomTables.open(sparse, "flat", scorer=scorer)
-    labeller = Labeller(RoomTables.open(sparse, "flat", offline=True), asking)
+    with_model = RoomTables.open(sparse, "flat", scorer=scorer)
+    labeller = Labeller(RoomTables.open(sparse, "flat", offline=True), with_model)
     for objects in (["oven"], ["bed"], ["oven", "bed"]):
         assert labeller.label({"R0": objects})["R0"].rule == "pooled"
     deadline = time.monotonic() + 20

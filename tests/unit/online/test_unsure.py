@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from roomtables import RoomTables, evaluate
 from roomtables.cli import main
 from roomtables.errors import ConfigError, InputError
-from roomtables.online.weighing import classify_rooms
+from roomtables.online.classifier import classify_rooms
 from roomtables.rooms import Room, parse_room
 from tiny_tables import OBJECTS, build_tables
 

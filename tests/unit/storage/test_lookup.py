@@ -16,7 +16,7 @@ from roomtables import RoomTables, build
 from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
 from roomtables.offline.combinations import all_combinations
-from roomtables.online.batch import ABSENT, ScoreRows
+from roomtables.online.ranks import ABSENT, ScoreRows
 from roomtables.storage import lookup
 from roomtables.storage.lookup import Lookup, SourceArrays, pack_keys
 from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup

@@ -23,7 +23,10 @@ def folder(tmp_path_factory):
     counts.write_text("object,room,count\nbed,bedroom,9\noven,kitchen,4\nchair,office,1\n")
     labels = str(write_labels(folder))
     # Without smoothing: an unseen object says nothing, a seen one rules rooms out for good.
-    build(tables=folder / "t", scorer=FitScorer(), labels=labels, counts=counts, smoothing=0)
+    build(
+        tables=folder / "t", scorer=FitScorer(), labels=labels, counts=counts, smoothing=0,
+        rule="calibrated", prior_weight=1.0, evidence_power=1.0, k=2,
+    )  # fmt: skip
     return folder / "t"
 
 
@@ -59,11 +62,49 @@ def test_p_room_given_is_rule_pooled(
 
 
 def test_picked_and_answers_are_rule_query(connection, tables):
-    expected = tables.deciding(rule="query", source="proxy").classify(list(OBJECTS))
+    expected = tables.deciding(rule="query").classify(list(OBJECTS))
     _, rows = select(connection, f"from picked({list(OBJECTS)})")
     assert [row[1] for row in rows] == list(expected.objects)
-    _, rows = select(connection, f"from answers({sorted(expected.objects)})")
-    assert {row[0]: row[2] for row in rows} == pytest.approx(expected.probabilities, abs=1e-6)
+    for given in (list(OBJECTS), sorted(expected.objects), [*OBJECTS, "unicorn"]):
+        _, rows = select(connection, f"from answers({given})")
+        assert {row[0]: row[2] for row in rows} == pytest.approx(expected.probabilities, abs=1e-9)
+    assert select(connection, "from answers(['unicorn'])")[1] == []
+
+
+def test_the_manifest_says_how_to_decide(connection):
+    columns, rows = select(connection, "from decision")
+    published = {"source": "proxy", "rule": "calibrated", "prior_weight": 1.0, "k": 2}
+    assert dict(zip(columns, rows[0], strict=True)) == published | {"evidence_power": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("macro", "more", "changes"),
+    [
+        ("decided", "", {}),
+        ("calibrated", "", {}),
+        ("calibrated", ", prior_weight := 0.25", {"prior_weight": 0.25}),
+        ("p_room_given", "", {"rule": "pooled"}),
+        ("decided", ", by_rule := 'pooled'", {"rule": "pooled"}),
+        ("decided", ", by_rule := 'query'", {"rule": "query"}),
+        ("decided", ", from_source := 'ground_truth'", {"source": "ground_truth"}),
+        ("decided", ", among := ['office', 'kitchen']", {"rooms": ("office", "kitchen")}),
+    ],
+)
+def test_macros_go_by_the_manifest_where_nothing_else_is_said(
+    connection, tables, macro, more, changes
+):
+    objects = ["oven", "chair", "bed"]
+    expected = tables.deciding(**changes).classify(objects)
+    _, rows = select(connection, f"from {macro}({objects}{more})")
+    assert rows[0][0] == expected.room
+    assert {room: p for room, _, p in rows} == pytest.approx(expected.probabilities, abs=1e-9)
+
+
+def test_fewer_objects_may_be_picked_than_the_sentences_name(connection, tables):
+    ((_, best, _),) = select(connection, f"from picked({list(OBJECTS)}, k := 1)")[1]
+    expected = tables.deciding(rule="query").classify([best])
+    _, rows = select(connection, f"from answers({list(OBJECTS)}, k := 1)")
+    assert {room: p for room, _, p in rows} == pytest.approx(expected.probabilities, abs=1e-9)
 
 
 def test_informative_objects_and_signatures(connection):
