@@ -94,7 +94,7 @@ def test_query_scores_hold_every_combination(tmp_path, labels, counts):
             np.testing.assert_allclose(rows[objects][1], scores, rtol=1e-6)
 
 
-def test_the_twin_is_the_tables(tmp_path, labels, counts):
+def test_the_lookup_is_the_tables(tmp_path, labels, counts):
     build(tables=tmp_path, labels=labels, scorer=HashScorer(), counts=counts)
     version = SpaceFolder(tmp_path, "small").current()
     lookup = Lookup.open(version.path / "lookup", version.manifest)
