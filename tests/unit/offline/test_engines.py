@@ -19,7 +19,8 @@ from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 
-SENTENCES = 46  # of the label space `small` with all combinations, 16 of them of single objects
+SENTENCES = 46  # of the label space `small` with all combinations
+SINGLES = 16  # of them, of single objects
 
 
 class Broken(HashScorer):
@@ -101,16 +102,21 @@ def test_an_address_that_is_none_is_named(tmp_path, labels, monkeypatch):
 
 
 @pytest.mark.usefixtures("cluster")
-def test_ray_gives_what_local_gives_though_an_actor_dies(tmp_path, labels):
-    scorer = KillsOnce(tmp_path / "killed", after=3)
+@pytest.mark.parametrize(
+    ("combinations", "sentences"),
+    [("none", SINGLES), pytest.param("all", SENTENCES, marks=pytest.mark.slow)],
+)
+def test_ray_gives_what_local_gives_though_an_actor_dies(tmp_path, labels, combinations, sentences):
     tables = tmp_path / "ray"
-    found = build(tables=tables, labels=labels, scorer=scorer, engine="ray", workers=WORKERS)
+    options = {"labels": labels, "combinations": combinations}
+    scorer = KillsOnce(tmp_path / "killed", after=3)
+    found = build(tables=tables, scorer=scorer, engine="ray", workers=WORKERS, **options)
     assert (tmp_path / "killed").exists()
-    assert found.sentences_scored == SENTENCES
-    build(tables=tmp_path / "local", labels=labels, scorer=HashScorer())
+    assert found.sentences_scored == sentences
+    build(tables=tmp_path / "local", scorer=HashScorer(), **options)
     assert scores(tables) == scores(tmp_path / "local")
     assert all(name.startswith("part-") for name in parts(tables))
-    assert not build(tables=tables, labels=labels, scorer=HashScorer()).published
+    assert not build(tables=tables, scorer=HashScorer(), **options).published
 
 
 @pytest.mark.slow
