@@ -49,7 +49,7 @@ _MAX_NAME_LENGTH = 100
 
 @cache
 def _engine() -> inflect.engine:
-    import inflect  # 0.3 s to import: only where a plural or an article is derived
+    import inflect  # seconds to import (typeguard): only where a plural or an article is derived
 
     return inflect.engine()
 
