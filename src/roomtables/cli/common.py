@@ -29,6 +29,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 FORMATS = ("table", "json", "jsonl", "csv")
 INTERRUPTED = 130
+_MOST_NAMES = 65_536  # answers whose names a Namer remembers
+_MOST_SHOWN = 12  # synonyms that are told of
 
 
 class Group(click.Group):
@@ -198,9 +200,6 @@ class Warnings:
             tqdm.write(f"warning: {message}", file=sys.stderr)
 
 
-_MOST_NAMES = 65_536
-
-
 class Namer:
     """Makes names of answers; an answer that was named before costs a dictionary lookup."""
 
@@ -241,9 +240,6 @@ def _provenance(answer: Prediction) -> dict[str, object]:
         "source": answer.source,
         "answered_by": answer.answered_by,
     }
-
-
-_MOST_SHOWN = 12
 
 
 class Synonyms:

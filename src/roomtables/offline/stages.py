@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 from roomtables.config import BuildConfig, default_stages, pipeline_folder
 from roomtables.errors import ConfigError
 from roomtables.offline.inputs import INPUTS, Inputs
-from roomtables.storage.manifest import FileFacts
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import LOOKUP, Version
 
@@ -27,6 +26,7 @@ STAGES = (
 )  # fmt: skip
 # The stages that ask the language model.
 ASKING = (SENTENCE_SCORES, QUERY_SCORES)
+CACHED, MISSING, STALE = "cached", "missing", "stale"
 
 
 class Stage(NamedTuple):
@@ -95,9 +95,6 @@ def fingerprint(recorded: Mapping[str, Mapping[str, Any]]) -> str:
     return _hash(recorded)
 
 
-CACHED, MISSING, STALE = "cached", "missing", "stale"
-
-
 @dataclass(frozen=True)
 class StageState:
     """A stage's state before a build.
@@ -155,15 +152,10 @@ def _changed(
 
 def _damaged(version: Version) -> dict[str, str]:
     """Stages whose published files are not as noted, and how."""
-    found = {}
-    for name, noted in version.manifest.files.items():
-        path = version.path / name
-        stage = LOOKUP if name.startswith(f"{LOOKUP}/") else Path(name).stem
-        if not path.is_file():
-            found[stage] = "removed"
-        elif FileFacts.of(path) != noted:
-            found[stage] = "damaged"
-    return found
+    return {
+        LOOKUP if name.startswith(f"{LOOKUP}/") else Path(name).stem: how
+        for name, how in version.damaged_files()
+    }
 
 
 def _recorded(

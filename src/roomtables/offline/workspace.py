@@ -128,15 +128,7 @@ class Workspace:
 
 @contextmanager
 def workspace(folder: Path) -> Iterator[Workspace]:
-    """A workspace in a folder; its files are gone at the end.
-
-    Raises
-    ------
-    StoreError
-        The disk is full, or a file cannot be written or read.
-    KeyboardInterrupt
-        A query was interrupted.
-    """
+    """A workspace in a folder; its files are gone at the end. Raises as `speaking_plainly`."""
     with speaking_plainly(folder):
         opened = Workspace(folder)
         try:

@@ -43,6 +43,18 @@ class Version:
     def name(self) -> str:
         return self.path.name
 
+    def damaged_files(self) -> Iterator[tuple[str, str]]:
+        """The files that are not as the manifest notes, by path inside the version, and how.
+
+        ``removed``, or ``damaged``: another size or another hash.
+        """
+        for name, noted in self.manifest.files.items():
+            path = self.path / name
+            if not path.is_file():
+                yield name, "removed"
+            elif FileFacts.of(path) != noted:
+                yield name, "damaged"
+
     def verify(self) -> None:
         """Compare every file with the size and the hash that the manifest notes.
 
@@ -51,10 +63,10 @@ class Version:
         StoreError
             A file is missing, cut, or has a bit flipped; the message names it.
         """
-        for name, noted in self.manifest.files.items():
-            path = self.path / name
-            if not path.is_file() or FileFacts.of(path) != noted:
-                raise StoreError(f"{path} is damaged; run `roomtables build` to make it again")
+        for name, _ in self.damaged_files():
+            raise StoreError(
+                f"{self.path / name} is damaged; run `roomtables build` to make it again"
+            )
 
     @classmethod
     def open(cls, path: Path, sha256: str | None = None) -> Version:

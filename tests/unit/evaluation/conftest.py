@@ -12,13 +12,24 @@ def matterport(shared_data):
 
 
 @pytest.fixture(scope="session")
-def gpt_j_folder(matterport, tmp_path_factory):
-    """A tables folder of GPT-J's scores and the authors' counts, without combinations."""
-    folder = tmp_path_factory.mktemp("gpt-j")
-    build(
-        tables=folder,
-        counts=matterport / "mpcat40_room_object_counts.csv",
-        scores=matterport / "mpcat40_gpt_j_mean_log_prob.csv",
-        combinations="none",
-    )
-    return folder
+def build_gpt_j(matterport, tmp_path_factory):
+    """Builds a tables folder of GPT-J's scores and the authors' counts, without combinations."""
+
+    def built(**options):
+        folder = tmp_path_factory.mktemp("gpt-j")
+        build(
+            tables=folder,
+            counts=matterport / "mpcat40_room_object_counts.csv",
+            scores=matterport / "mpcat40_gpt_j_mean_log_prob.csv",
+            combinations="none",
+            **options,
+        )
+        return folder
+
+    return built
+
+
+@pytest.fixture(scope="session")
+def gpt_j_folder(build_gpt_j):
+    """Such a folder with the settings of the package."""
+    return build_gpt_j()

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from roomtables import RoomTables, build, evaluate
+from roomtables import RoomTables, evaluate
 from roomtables.evaluation.comparison import EVIDENCE_POWERS, sweep
 
 
@@ -14,16 +14,8 @@ def tables(gpt_j_folder):
 
 
 @pytest.fixture(scope="module")
-def mean_tables(matterport, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("gpt-j-mean")
-    build(
-        tables=folder,
-        counts=matterport / "mpcat40_room_object_counts.csv",
-        scores=matterport / "mpcat40_gpt_j_mean_log_prob.csv",
-        combinations="none",
-        reduction="mean",
-    )
-    return RoomTables.open(folder, offline=True)
+def mean_tables(build_gpt_j):
+    return RoomTables.open(build_gpt_j(reduction="mean"), offline=True)
 
 
 def test_pooled_proxy_at_the_defaults(tables, matterport):

@@ -242,12 +242,19 @@ def test_tables_of_an_older_schema_are_made_anew_from_the_scores(tmp_path, label
     assert RoomTables.open(tables, "small", offline=True).classify(["bed"]).answered_by == "table"
 
 
-def test_names_are_what_a_lookup_reads_as_it_stands(tmp_path):
+def flat(tmp_path, objects, rooms):
+    """The folder of label space ``flat``, with these rows."""
     folder = tmp_path / "flat"
     folder.mkdir()
-    (folder / "objects.csv").write_text("object,synonyms\nfridge,refrigerator|ice box\nstairs,\n")
-    (folder / "rooms.csv").write_text("room\nkitchen\n")
-    build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer())
+    (folder / "objects.csv").write_text(objects)
+    (folder / "rooms.csv").write_text(rooms)
+    return str(folder)
+
+
+def test_names_are_what_a_lookup_reads_as_it_stands(tmp_path):
+    objects = "object,synonyms\nfridge,refrigerator|ice box\nstairs,\n"
+    labels = flat(tmp_path, objects, "room\nkitchen\n")
+    build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
     rows = table(tmp_path / "t", "names", "name", labels="flat")
     assert rows == [
         ("fridge", "fridge", "label"),
@@ -266,12 +273,9 @@ def test_names_are_what_a_lookup_reads_as_it_stands(tmp_path):
 
 @pytest.mark.parametrize("name", ["source", "Key", "objects"])
 def test_a_room_cannot_bear_the_name_of_a_column(tmp_path, name):
-    folder = tmp_path / "flat"
-    folder.mkdir()
-    (folder / "objects.csv").write_text("object\nbed\n")
-    (folder / "rooms.csv").write_text(f"room\n{name}\n")
+    labels = flat(tmp_path, "object\nbed\n", f"room\n{name}\n")
     with pytest.raises(LabelSpaceError, match=f"a room cannot be called '{name.lower()}'"):
-        build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer())
+        build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
     assert not (tmp_path / "t").exists()
 
 
@@ -282,11 +286,9 @@ def test_a_label_space_cannot_bear_the_name_of_the_scores(tmp_path):
 
 
 def test_rooms_of_any_name_are_columns(tmp_path):
-    folder = tmp_path / "flat"
-    folder.mkdir()
-    (folder / "objects.csv").write_text("object\nbed\n")
-    (folder / "rooms.csv").write_text('room\n"a ""room"", \'x\'"\nselect\nbed room 2\n')
-    build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer())
+    rooms = 'room\n"a ""room"", \'x\'"\nselect\nbed room 2\n'
+    labels = flat(tmp_path, "object\nbed\n", rooms)
+    build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
     version = SpaceFolder(tmp_path / "t", "flat").current()
     names = pq.read_schema(version.path / "query_scores.parquet").names
     assert names == ["source", "key", "objects", "a \"room\", 'x'", "bed room 2", "select"]
