@@ -30,7 +30,9 @@ def options(tmp_path: Path) -> dict[str, object]:
 
 
 def held(tables: Path, source: str) -> set[frozenset[str]]:
-    opened = RoomTables.open(tables, "small", offline=True, source=source, note_misses=False)
+    opened = RoomTables.open(
+        tables, "small", offline=True, source=source, note_misses=False, backoff=False
+    )
     names = [o.label for o in opened.lookup.objects]
     every = [set(c) for size in (1, 2, 3) for c in combinations(names, size)]
     return {frozenset(c) for c in every if opened.classify(sorted(c)).answered_by == "table"}
@@ -41,7 +43,7 @@ def test_after_the_next_build_the_same_question_is_a_hit(
     tmp_path: Path, options: dict[str, object], asked: str
 ) -> None:
     build(scorer=HashScorer(), **options)
-    tables = RoomTables.open(tmp_path, "small", offline=True)
+    tables = RoomTables.open(tmp_path, "small", offline=True, backoff=False)
     assert tables.classify(["toilet", "sink"]).answered_by == "none"
     assert tables.classify_many([["sinks", "TOILET"], ["bed"]])[0].answered_by == "none"
     folder = tmp_path / "small" / "misses"
@@ -49,7 +51,7 @@ def test_after_the_next_build_the_same_question_is_a_hit(
     assert (miss.source, set(miss.objects), miss.times_asked) == ("proxy", {"sink", "toilet"}, 2)
     build(scorer=HashScorer(), **options | ({} if asked == "file" else {"combinations": asked}))
     assert Misses.read(folder).open == ()
-    again = RoomTables.open(tmp_path, "small", offline=True)
+    again = RoomTables.open(tmp_path, "small", offline=True, backoff=False)
     assert again.classify(["toilet", "sink"]).answered_by == "table"
     assert again.classify(["bed"]).answered_by == "table"
 
