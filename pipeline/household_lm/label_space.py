@@ -8,6 +8,9 @@ is asked to name from its objects is left out, so that it takes nothing from the
 
 from __future__ import annotations
 
+import csv
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.household_lm.english import number, plural
@@ -16,6 +19,9 @@ from roomtables.english import article
 from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel
 
 FOLDER = Path(__file__).parents[1] / "labels" / "household"
+# Names that robots use and that are read as an object of the knowledge: kinds that it does not tell
+# apart, and spellings of one detector or simulator that nobody would write in a sentence.
+ALSO = Path(__file__).parent / "names" / "also.csv"
 
 ROOMS = (
     # homes
@@ -93,8 +99,19 @@ MORE_SYNONYMS = {
 }
 
 
-def label_space(facts: Facts) -> LabelSpace:
+def other_names(path: Path = ALSO) -> dict[str, set[str]]:
+    """The further names of each object, from a CSV of `name`, `object`, `why`."""
+    names: dict[str, set[str]] = defaultdict(set)
+    with path.open(encoding="utf-8", newline="") as lines:
+        for row in csv.DictReader(lines):
+            names[row["object"]].add(row["name"])
+    return dict(names)
+
+
+def label_space(facts: Facts, others: Mapping[str, set[str]]) -> LabelSpace:
     """The objects and rooms of some knowledge as label space ``household``.
+
+    ``others`` are further names of objects, by label.
 
     Raises
     ------
@@ -102,7 +119,11 @@ def label_space(facts: Facts) -> LabelSpace:
         Two labels claim one synonym.
     """
     objects = [
-        ObjectLabel(thing.name, in_a_sentence(thing.name), tuple(sorted(thing.synonyms)))
+        ObjectLabel(
+            thing.name,
+            in_a_sentence(thing.name),
+            tuple(sorted({*thing.synonyms, *others.get(thing.name, ())})),
+        )
         for thing in facts.things.values()
     ]
     rooms = [
@@ -125,7 +146,7 @@ def _room_synonyms(name: str, facts: Facts) -> set[str]:
 def main() -> None:
     """Write the label space's files."""
     FOLDER.mkdir(exist_ok=True)
-    for file, text in label_space(load_facts()).csv_files().items():
+    for file, text in label_space(load_facts(), other_names()).csv_files().items():
         (FOLDER / file).write_text(text, encoding="utf-8")
     print(f"wrote {FOLDER}")
 
