@@ -1,4 +1,4 @@
-"""The label space ``household``, made from the knowledge: every object, and the rooms to tell apart.
+"""Label space ``household``, made from the knowledge: every object, and the rooms to tell apart.
 
 ``python -m pipeline.household_lm.label_space`` writes ``pipeline/labels/household``; a test keeps
 the files in step with the knowledge. The query sentence competes among the rooms here, so two rooms
@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pipeline.household_lm.english import number, plural
 from pipeline.household_lm.facts import Facts, load_facts
+
 from roomtables.english import article
 from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel
 

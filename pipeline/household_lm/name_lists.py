@@ -1,4 +1,4 @@
-"""The lists of names that robots and data sets use, and how much of each label space household reads.
+"""The names that robots and data sets use, and how much of them label space household reads.
 
 ``python -m pipeline.household_lm.name_lists`` writes the counts into ``names/README.md``.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.household_lm.label_space import ALSO

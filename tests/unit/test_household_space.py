@@ -6,6 +6,7 @@ import pytest
 from pipeline.household_lm import inflections, label_space, name_lists
 from pipeline.household_lm.facts import load_facts
 from pipeline.household_lm.name_lists import Counts, read_list
+
 from roomtables.config import load_labels
 from roomtables.english import NOTED
 from roomtables.names import NameReader
