@@ -18,7 +18,8 @@ import difflib
 import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 from roomtables.labels import LABEL, PLURAL, SYNONYM, Name, normalise
 
@@ -81,17 +82,7 @@ class NameReader:
     """
 
     def __init__(self, names: Mapping[str, Name]) -> None:
-        self._names = names
-        self._by_words: dict[str, str] = {}
-        self._by_letters: dict[str, str] = {}
-        self._most_words = 1
-        for name, found in sorted(names.items(), key=_claim):
-            words = _words(name)
-            self._by_words.setdefault(" ".join(words), found.label)
-            self._by_letters.setdefault("".join(words), found.label)
-            self._most_words = max(self._most_words, len(words))
-        self._by_words.pop("", None)  # names of punctuation alone, which only stand as they are
-        self._by_letters.pop("", None)
+        self.names = names
         self._nearest = lru_cache(_SUGGESTED)(self._compare)
 
     def read(self, given: str) -> Name | None:
@@ -100,9 +91,9 @@ class NameReader:
         ``how`` is ``label``, ``plural`` or ``synonym`` for a name of the label space as it stands,
         ``spelling`` or ``compound`` otherwise.
         """
-        if (found := self._names.get(given)) is not None:
+        if (found := self.names.get(given)) is not None:
             return found
-        if (found := self._names.get(normalise(given))) is not None:
+        if (found := self.names.get(normalise(given))) is not None:
             return Name(found.label, SPELLING)
         if len(given) > _LONGEST:
             return None
@@ -122,10 +113,10 @@ class NameReader:
         return list(self._nearest(spelled)[:most]) if len(spelled) <= _LONGEST_COMPARED else []
 
     def _compare(self, spelled: str) -> tuple[str, ...]:
-        close = difflib.get_close_matches(spelled, self._names, 20, _LEAST_RATIO)
+        close = difflib.get_close_matches(spelled, self.names, 20, _LEAST_RATIO)
         by_label: dict[str, str] = {}
         for name in close:
-            by_label.setdefault(self._names[name].label, name)
+            by_label.setdefault(self.names[name].label, name)
         return tuple(by_label.values())
 
     def _read_words(self, words: Sequence[str]) -> Name | None:
@@ -140,12 +131,17 @@ class NameReader:
 
     def _spelled(self, words: Sequence[str]) -> str | None:
         """The label that these words name, put apart or together."""
-        return self._by_words.get(" ".join(words)) or self._by_letters.get("".join(words))
+        return self._index.labels.get(" ".join(words)) or self._index.labels.get("".join(words))
+
+    @cached_property
+    def _index(self) -> _Index:
+        """Made for the first name that is not read as it stands."""
+        return _Index.of(self.names)
 
     def _tail(self, words: Sequence[str]) -> str | None:
         """The label of the longest known tail that begins before a preposition."""
         first = _preposition(words)
-        for start in range(max(1, len(words) - self._most_words), first):
+        for start in range(max(1, len(words) - self._index.most_words), first):
             tail = words[start:]
             label = self._spelled(tail) if len("".join(tail)) > 1 else None
             if label:
@@ -159,10 +155,37 @@ class NameReader:
     def _meant(self, before: Sequence[str], tail: Sequence[str], label: str) -> str | None:
         """The label of a tail, unless what stands before it changes what it means."""
         if _TOY in before:
-            return self._by_words.get(_TOY)
+            return self._index.labels.get(_TOY)
         if before[-1] in _NEGATIONS or " ".join([before[-1], *tail]) in _NO_SUCH_THING:
             return None
         return label
+
+
+class _Index(NamedTuple):
+    """Known names taken into words.
+
+    Attributes
+    ----------
+    labels : the words of a name with and without spaces between them → label
+    most_words : of one name
+    """
+
+    labels: Mapping[str, str]
+    most_words: int
+
+    @classmethod
+    def of(cls, names: Mapping[str, Name]) -> _Index:
+        apart: dict[str, str] = {}
+        together: dict[str, str] = {}
+        most_words = 1
+        for name, found in sorted(names.items(), key=_claim):
+            words = _words(name)
+            apart.setdefault(" ".join(words), found.label)
+            together.setdefault("".join(words), found.label)
+            most_words = max(most_words, len(words))
+        labels = together | apart
+        labels.pop("", None)  # names of punctuation alone are read as they stand only
+        return cls(labels, most_words)
 
 
 def _claim(named: tuple[str, Name]) -> tuple[int, str, str]:
@@ -196,6 +219,16 @@ def _without_instance(words: Sequence[str]) -> Iterator[Sequence[str]]:
             return
         if words:
             yield words
+
+
+def as_spoken(given: str) -> str:
+    """An unknown name as a sentence says it, without what tells instances apart."""
+    spelled = normalise(given)
+    if len(given) > _LONGEST:
+        return spelled
+    words = _words(given)
+    *_, fewest = words, *_without_instance(words)
+    return spelled if fewest == words and not _HUMP.search(given) else " ".join(fewest)
 
 
 def _preposition(words: Sequence[str]) -> int:

@@ -107,7 +107,7 @@ class Labeller:
         answer = self._answers.get(objects)
         if answer is None:
             answer = self._tables.classify(sorted(objects))
-            if answer.answered_by == NONE and objects:
+            if (answer.answered_by == NONE or answer.backed_off) and objects:
                 self._ask_later(objects)
                 answer = self._pooled.classify(sorted(objects))
             self._remember(objects, answer)

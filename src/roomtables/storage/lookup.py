@@ -26,7 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roomtables.errors import StoreError
-from roomtables.labels import ObjectLabel, RoomLabel
+from roomtables.labels import (
+    LABEL,
+    PLURAL,
+    SYNONYM,
+    Name,
+    ObjectLabel,
+    RoomLabel,
+    normalise,
+)
 from roomtables.storage.manifest import Manifest
 
 INDEX = "lookup.json"
@@ -101,6 +109,17 @@ class Lookup:
     template: tuple[str, ...]
     reduction: str
     sources: Mapping[str, SourceArrays]
+
+    def object_names(self) -> dict[str, Name]:
+        """Every name of an object that is read as it stands, and how: table ``names``.
+
+        The plural or singular of a synonym counts as a synonym here.
+        """
+        plurals = {normalise(listed.plural) for listed in self.objects}
+        return {
+            name: Name(label, LABEL if name == label else PLURAL if name in plurals else SYNONYM)
+            for name, label in self.object_aliases.items()
+        }
 
     @classmethod
     def open(cls, folder: Path, manifest: Manifest, verify: bool = False) -> Lookup:
