@@ -44,5 +44,5 @@ def shell(tmp_path):
 def published(tmp_path_factory):
     """Tables of mpcat40 where the combinations of one or two objects are held."""
     tables = tmp_path_factory.mktemp("tables")
-    build(tables=tables, scorer=HashScorer(), k=2)
+    build(tables=tables, labels="mpcat40", scorer=HashScorer(), k=2)
     return tables

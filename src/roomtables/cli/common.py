@@ -16,6 +16,7 @@ import click
 from tqdm import tqdm
 
 from roomtables import __version__
+from roomtables.config import DEFAULT_LABELS
 from roomtables.errors import RoomtablesError
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
@@ -59,7 +60,9 @@ tables_option = click.option(
     help="The tables folder.",
 )
 labels_option = click.option(
-    "--labels", default="mpcat40", show_default=True, help="Label space: a name, or its folder."
+    "--labels",
+    help="Label space: a name, or its folder.  "
+    f"[default: {DEFAULT_LABELS} where it is published, else the only one that is]",
 )
 output_option = click.option(
     "-o",

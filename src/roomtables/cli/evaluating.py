@@ -55,7 +55,7 @@ def evaluate_command(
     plot_calibration: Path | None,
     weights: str | None,
     tables: Path,
-    labels: str,
+    labels: str | None,
     format_: str,
     output: Path | None,
     **decision: Any,
@@ -195,7 +195,7 @@ def _sweep_text(swept: Sweep) -> str:
 @decision_options
 @click.option("-o", "--output", type=_FILE, required=True, help="The HTML file to write.")
 def report_command(
-    rooms_file: Path | None, tables: Path, labels: str, output: Path, **decision: Any
+    rooms_file: Path | None, tables: Path, labels: str | None, output: Path, **decision: Any
 ) -> None:
     """Write one self-contained page about the tables; with labelled ROOMS also how they do.
 

@@ -68,7 +68,7 @@ def classify(
     explain: bool,
     weights: str | None,
     tables: Path,
-    labels: str,
+    labels: str | None,
     format_: str,
     output: Path | None,
     **decision: Any,
@@ -90,7 +90,7 @@ def classify(
             input_,
             warn=Warnings(),
             labelspace=labelspace,
-            object_labels=house_labels(labels),
+            object_labels=house_labels(opened.version.manifest.labels),
             category_mapping=category_mapping,
         )
     names = NameReport.of(opened)
@@ -210,7 +210,7 @@ def serve(
     send: str,
     report_every: float,
     tables: Path,
-    labels: str,
+    labels: str | None,
     labelspace: Path | None,
     offline: bool,
     **decision: Any,

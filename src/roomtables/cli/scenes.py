@@ -141,7 +141,7 @@ def label(
     scene: Path,
     output: Path,
     tables: Path,
-    labels: str,
+    labels: str | None,
     labelspace: Path | None,
     **decision: Any,
 ) -> None:
@@ -183,7 +183,7 @@ def show(
     scene: Path,
     output: Path,
     tables: Path,
-    labels: str,
+    labels: str | None,
     labelspace: Path | None,
     category_mapping: Path | None,
     keep_all: bool,

@@ -21,7 +21,8 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import StoreError
-from roomtables.storage.versions import KEPT_VERSIONS, SpaceFolder, Version
+from roomtables.storage.spaces import find_space
+from roomtables.storage.versions import KEPT_VERSIONS, Version
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 _CLOCK_SKEW = timedelta(minutes=5)
@@ -46,7 +47,7 @@ def _age(ctx: click.Context, param: click.Parameter, value: str | None) -> timed
 @output_option
 def status(
     tables: Path,
-    labels: str,
+    labels: str | None,
     max_age: timedelta | None,
     verify: bool,
     format_: str,
@@ -59,7 +60,7 @@ def status(
       roomtables status --format json
       roomtables status --max-age 26h --verify
     """
-    version = SpaceFolder(tables, Path(labels).name).current()
+    version = find_space(tables, labels).current()
     if max_age is not None:
         _check_age(version, max_age)
     if verify:
@@ -175,7 +176,7 @@ def compact(tables: Path, format_: str, output: Path | None) -> None:
 @tables_option
 @labels_option
 @format_option("table", "json")
-def rollback(tables: Path, labels: str, format_: str) -> None:
+def rollback(tables: Path, labels: str | None, format_: str) -> None:
     """Publish the version before the published one.
 
     \b
@@ -184,7 +185,7 @@ def rollback(tables: Path, labels: str, format_: str) -> None:
     """
     from roomtables.offline.upkeep import roll_back
 
-    left, now = roll_back(tables, Path(labels).name)
+    left, now = roll_back(tables, find_space(tables, labels).labels)
     if format_ == "json":
         emit(as_json({"labels": now.manifest.labels, "version": now.name, "left": left.name}))
     else:
@@ -203,7 +204,7 @@ def diff(
     before: str | None,
     after: str | None,
     tables: Path,
-    labels: str,
+    labels: str | None,
     top: int,
     format_: str,
     output: Path | None,
@@ -219,7 +220,7 @@ def diff(
     """
     from roomtables.offline.diff import compare
 
-    space = SpaceFolder(tables, Path(labels).name)
+    space = find_space(tables, labels)
     newer = space.named(after) if after else space.current()
     older = space.named(before) if before else space.before(newer)
     found = compare(older, newer)

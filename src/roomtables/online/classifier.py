@@ -30,6 +30,7 @@ from roomtables.schemas import POOLED
 from roomtables.scorer import Scorer
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.misses import FOLDER, MissLog
+from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 # What a decision takes from the build's settings where nothing else is said.
@@ -74,7 +75,7 @@ class RoomTables:
     def open(
         cls,
         tables: str | Path = "tables",
-        labels: str = "mpcat40",
+        labels: str | None = None,
         *,
         scorer: Scorer | None = None,
         offline: bool = False,
@@ -87,7 +88,8 @@ class RoomTables:
         Parameters
         ----------
         tables : the tables folder, or the folder that an export was unpacked into
-        labels : the label space's name, or its folder, whose base name is its name
+        labels : the label space's name, or its folder, whose base name is its name; by default
+            ``household`` where it is published, else the only one that is
         scorer : a language model for misses; by default the one the tables were built with
         offline : never load a language model
         verify : read and hash every byte of the lookup files first
@@ -103,7 +105,7 @@ class RoomTables:
         InputError
             A candidate room is unknown and no model may be asked about it.
         """
-        space = _space(Path(tables), Path(labels).name)
+        space = _space(Path(tables), labels)
         version, lookup = _open_published(space, verify)
         misses = MissLog(space.path / FOLDER) if note_misses else None
         model = QueryModel(version.manifest, scorer, allowed=not offline)
@@ -208,10 +210,10 @@ class RoomTables:
         return Prediction(self._decider, room, TABLE, ranks, given, unknown, compared)
 
 
-def _space(tables: Path, labels: str) -> SpaceFolder:
-    unpacked = tables / "tables"
-    inside = not (tables / labels).is_dir() and (unpacked / labels).is_dir()
-    return SpaceFolder(unpacked if inside else tables, labels)
+def _space(tables: Path, labels: str | None) -> SpaceFolder:
+    """The label space's folder under a tables folder, or under what an export was unpacked into."""
+    space, unpacked = find_space(tables, labels), find_space(tables / "tables", labels)
+    return unpacked if unpacked.path.is_dir() and not space.path.is_dir() else space
 
 
 def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:

@@ -63,9 +63,9 @@ class Category:
 Namer = Callable[[Category], str | None]
 
 
-def house_labels(labels: str) -> str:
+def house_labels(labels: str | None) -> str:
     """The label space to name a house's objects in, where tables of ``labels`` are to answer."""
-    return NYUCLASS if Path(labels).name == NYUCLASS else MPCAT40
+    return NYUCLASS if labels and Path(labels).name == NYUCLASS else MPCAT40
 
 
 def object_namer(options: ReadOptions) -> Namer:

@@ -56,6 +56,29 @@ def test_after_the_next_build_the_same_question_is_a_hit(
     assert again.classify(["bed"]).answered_by == "table"
 
 
+def test_auto_is_recorded_as_what_it_came_to(tmp_path: Path, options: dict[str, object]) -> None:
+    first = build(scorer=HashScorer(), **options | {"combinations": "auto"})
+    assert SpaceFolder(tmp_path, "small").current().manifest.settings.combinations == "all"
+    again = build(scorer=HashScorer(), **options | {"combinations": "all"})
+    assert (again.published, again.version) == (False, first.version)
+
+
+def test_auto_of_many_sentences_takes_misses_in_and_without_any_publishes_nothing(
+    tmp_path: Path, options: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("roomtables.offline.combinations.MOST_SENTENCES", 10)
+    auto = options | {"combinations": "auto", "counts": None}
+    first = build(scorer=HashScorer(), **auto)
+    assert SpaceFolder(tmp_path, "small").current().manifest.combinations == {"proxy": 0}
+    same = build(scorer=HashScorer(), **auto)
+    assert (same.published, same.version) == (False, first.version)
+    MissLog(tmp_path / "small" / "misses").note("proxy", [("sink", "stove")])
+    assert build(scorer=HashScorer(), **auto).sentences_scored == 3
+    assert held(tmp_path, "proxy") == {frozenset(["sink", "stove"])}
+    again = build(scorer=HashScorer(), **auto)
+    assert (again.published, again.sentences_scored) == (False, 0)
+
+
 def test_misses_are_added_to_what_is_held_and_scored_alone(
     tmp_path: Path, options: dict[str, object]
 ) -> None:
@@ -133,7 +156,7 @@ def test_the_misses_command_lists_what_no_table_held(
     build(scorer=HashScorer(), **options)
     command = ["misses", "--tables", str(tmp_path), "--labels", "small"]
     assert json.loads(CliRunner().invoke(main, [*command, "--format", "json"]).output) == []
-    RoomTables.open(tmp_path, "small", offline=True).classify(["sink", "stove"])
+    RoomTables.open(tmp_path, "small", offline=True, backoff=False).classify(["sink", "stove"])
     (row,) = json.loads(CliRunner().invoke(main, [*command, "--format", "json"]).output)
     assert set(row) == {"source", "objects", "times_asked", "last_asked"}
     assert (row["source"], set(row["objects"]), row["times_asked"]) == (
