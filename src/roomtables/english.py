@@ -1,13 +1,22 @@
-"""Inflection of one label: its plural, its singular, its article (inflect does the work)."""
+"""Inflection of one label: its plural, its singular, its article (inflect does the work).
+
+Whatever asks inflect raises MissingExtraError where it is not installed.
+"""
 
 from __future__ import annotations
 
+import logging
 import re
 from functools import cache
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
+
+from roomtables.errors import needing
 
 if TYPE_CHECKING:
     import inflect
+
+log = logging.getLogger(__name__)
 
 # Nouns that name a mass, or whose form is the plural already; the last word of a label decides.
 _UNINFLECTED = frozenset(
@@ -48,8 +57,22 @@ _MAX_NAME_LENGTH = 100
 
 
 @cache
+def can_inflect() -> bool:
+    """Whether inflect is installed; where it is not, one warning says which extra brings it."""
+    found = find_spec("inflect") is not None
+    if not found:
+        log.warning(
+            "names that no table has stay unknown, for want of their plurals; "
+            "run `pip install 'roomtables[robot]'`"
+        )
+    return found
+
+
+@cache
 def _engine() -> inflect.engine:
-    import inflect  # seconds to import (typeguard): only where a plural or an article is derived
+    # Seconds to import (typeguard): only where a plural or an article is derived.
+    with needing("deriving a plural or an article"):
+        import inflect
 
     return inflect.engine()
 

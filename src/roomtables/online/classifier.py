@@ -151,7 +151,9 @@ class RoomTables:
             for_model.update(at for at, spelled in unlisted.items() if spelled)
         asked = sorted(for_model)
         questions = [Question(ranked.listed(at), unlisted.get(at, {})) for at in asked]
-        answers = dict(zip(asked, self._model_pass.answer(questions), strict=True))
+        answers: dict[int, Prediction] = dict(
+            zip(asked, self._model_pass.answer(questions), strict=True)
+        )
 
         def predict(at: int) -> Prediction:
             if at in answers:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from roomtables.english import can_inflect
 from roomtables.labels import ObjectLabel
 from roomtables.online import rules
 from roomtables.online.decider import Decider, UnlistedObject
@@ -54,10 +55,12 @@ class ModelPass:
     def ranks_unlisted(self) -> bool:
         """Whether unlisted objects can be ranked among the listed ones; loads the model.
 
-        Only the model whose scores the tables hold can do that: another's are not comparable.
+        Only the model whose scores the tables hold can do that: another's are not comparable. Its
+        sentences need the objects' plurals.
         """
         proxy = self._decider.decision.source == PROXY
-        return proxy and self._model.extends_tables and self._model.load() is not None
+        comparable = proxy and self._model.extends_tables
+        return comparable and self._model.load() is not None and can_inflect()
 
     def answer(self, questions: Sequence[Question]) -> list[Prediction]:
         """Predictions in the order of the questions, in two passes of the model at most."""
