@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-# Packages as they are imported, and the extra that brings each; see pyproject.toml.
+# The extra that brings each package (by the name it is imported as): what pyproject.toml says.
 EXTRAS: Mapping[str, str] = {
     "duckdb": "build",
     "harlequin": "ui",
