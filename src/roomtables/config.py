@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -186,10 +187,16 @@ def default_stages() -> dict[str, tuple[str, ...]]:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    import tomllib  # Python 3.11; a lookup reads no TOML
-
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        tomllib = import_module("tomllib")  # a lookup reads no TOML
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"cannot read {path}: settings in TOML need Python 3.11 or newer; build there, then "
+            "take the tables here with `roomtables export`"
+        ) from error
+    try:
+        values: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        return values
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or thousands of digits

@@ -1,19 +1,26 @@
 """Inflection of one label: its plural, its singular, its article.
 
 inflect does the work. What it answered for the names of the built-in label spaces is kept in
-``inflections.csv``, so that those need no import of it, which takes seconds.
+``inflections.csv``, so that those need no import of it, which takes seconds. For other names
+inflect must be installed: MissingExtraError where it is not.
 """
 
 from __future__ import annotations
 
 import csv
+import logging
 import re
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from roomtables.errors import needing
+
 if TYPE_CHECKING:
     import inflect
+
+log = logging.getLogger(__name__)
 
 # Nouns that name a mass, or whose form is the plural already; the last word of a label decides.
 _UNINFLECTED = frozenset(
@@ -111,8 +118,22 @@ def _singular(label: str) -> str:
 
 
 @cache
+def can_inflect() -> bool:
+    """Whether inflect is installed; where it is not, one warning says which extra brings it."""
+    found = find_spec("inflect") is not None
+    if not found:
+        log.warning(
+            "names that no table has stay unknown, for want of their plurals; "
+            "run `pip install 'roomtables[robot]'`"
+        )
+    return found
+
+
+@cache
 def _engine() -> inflect.engine:
-    import inflect  # seconds to import (typeguard)
+    # Seconds to import (typeguard): only where a plural or an article is not noted.
+    with needing("deriving a plural or an article"):
+        import inflect
 
     return inflect.engine()
 

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
-from tqdm import tqdm
 
 from roomtables import __version__
+from roomtables.cli.progress import write_line
 from roomtables.config import DEFAULT_LABELS
-from roomtables.errors import RoomtablesError
+from roomtables.errors import RoomtablesError, needing
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
 from roomtables.rooms import MEASURES
@@ -39,7 +39,8 @@ class Group(click.Group):
         logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
         logging.addLevelName(logging.WARNING, "warning")
         try:
-            return super().invoke(ctx)
+            with needing("this command"):
+                return super().invoke(ctx)
         except RoomtablesError as error:
             click.echo(f"error: {' '.join(str(error).split())}", err=True)
             ctx.exit(1)
@@ -209,7 +210,7 @@ class Warnings:
     def __call__(self, message: str) -> None:
         if message not in self._said:
             self._said.add(message)
-            tqdm.write(f"warning: {message}", file=sys.stderr)
+            write_line(f"warning: {message}")
 
 
 class Namer:

@@ -21,6 +21,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import InputError, MissingExtraError
+from roomtables.schemas import SCORES
 from roomtables.storage.files import held
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import Version
@@ -53,8 +54,6 @@ def sql_command(
     """
     if ui and (query or output):
         raise click.UsageError("--ui takes no QUERY and no -o")
-    from roomtables.storage.score_parts import SCORES  # brings pyarrow
-
     version = find_space(tables, labels).current()
 
     click.get_current_context().with_resource(held(version.path, *(tables / SCORES).glob("*")))

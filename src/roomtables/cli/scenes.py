@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from tqdm import tqdm
 
 from roomtables.cli.common import (
     Namer,
@@ -28,6 +27,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.names import NameReport
+from roomtables.cli.progress import progress_bar
 from roomtables.config import BuildConfig, load_labels
 from roomtables.errors import InputError, StoreError
 from roomtables.names import NameReader
@@ -109,7 +109,7 @@ def rooms(
 def _scenes(paths: Iterable[Path], options: ReadOptions) -> Iterator[Scene]:
     """The scenes of all paths, one at a time; ids that several scenes could share get a prefix."""
     files = [file for path in paths for file in scene_files(path)]
-    for file in tqdm(files, unit="scene", disable=None if len(files) > 1 else True, leave=False):
+    for file in progress_bar(files, "scene"):
         scene = read_scene(file, options)
         if len(files) > 1 and scene.local_ids:
             name = scene.name

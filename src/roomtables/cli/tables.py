@@ -19,6 +19,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.config import DEFAULT_LABELS, ENGINES, BuildConfig
+from roomtables.errors import needing
 from roomtables.schemas import REDUCTIONS
 from roomtables.scorer import DTYPES, SCORINGS
 
@@ -85,7 +86,8 @@ def build_command(
       roomtables build
       roomtables build --model ./gpt2 --dtype bfloat16 --combinations rooms.jsonl
     """
-    from roomtables.offline.builder import build
+    with needing("`roomtables build`", "lm"):
+        from roomtables.offline.builder import build
 
     # A service manager's stop is as clean as Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -119,7 +121,8 @@ def plan_command(
     Example:
       roomtables plan --labels mpcat40 --format json
     """
-    from roomtables.offline.plan import plan
+    with needing("`roomtables plan`", "lm"):
+        from roomtables.offline.plan import plan
 
     found = plan(BuildConfig.load(config, **options), tables=tables)
     emit(as_json(found.as_json()) if format_ == "json" else _plan_text(found), output)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ def status(
 
 
 def _check_age(version: Version, max_age: timedelta) -> None:
-    age = datetime.now(UTC) - version.manifest.created
+    age = _age_of(version)
     if age < -_CLOCK_SKEW:
         raise StoreError(
             f"{version.path} is dated {version.manifest.created.isoformat()}, in the future; "
@@ -88,6 +88,10 @@ def _check_age(version: Version, max_age: timedelta) -> None:
         )
 
 
+def _age_of(version: Version) -> timedelta:
+    return datetime.now(timezone.utc) - version.manifest.created
+
+
 def _hours(age: timedelta) -> str:
     return f"{age.total_seconds() / 3600:.4g}"
 
@@ -98,7 +102,7 @@ def _describe(version: Version) -> dict[str, Any]:
         "labels": manifest.labels,
         "version": version.name,
         "created": manifest.created.isoformat(),
-        "age_hours": round((datetime.now(UTC) - manifest.created).total_seconds() / 3600, 2),
+        "age_hours": round(_age_of(version).total_seconds() / 3600, 2),
         "scorer_id": manifest.scorer_id,
         "query_scorer_id": manifest.query_scorer_id,
         "model": manifest.settings.model,

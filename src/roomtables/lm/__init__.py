@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from roomtables.errors import MissingExtraError
+from roomtables.errors import needing
 from roomtables.lm.folders import EMBEDDED_MODEL
 from roomtables.lm.identity import identify
 
@@ -56,12 +56,9 @@ def load_scorer(
     MissingExtraError
         torch or transformers is not installed.
     """
-    try:
+    with needing("loading a language model", "lm"):
         from roomtables.lm.loading import load
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] not in {"torch", "transformers", "safetensors"}:
-            raise
-        raise MissingExtraError("loading a language model", "lm") from error
+
     return load(
         model,
         revision=revision,

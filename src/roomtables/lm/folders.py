@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import MissingExtraError, ModelError, first_line
+from roomtables.errors import ModelError, first_line, needing
 
 EMBEDDED_MODEL = "household-lm"
 EMBEDDED_FOLDER = Path(__file__).parents[1] / "models" / EMBEDDED_MODEL
@@ -154,11 +154,10 @@ def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
     """
     os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
-    try:
+    with needing(f"the hub model {model}"):
         import huggingface_hub
         from huggingface_hub import errors as hub_errors
-    except ImportError as error:
-        raise MissingExtraError(f"the hub model {model}", "lm") from error
+
     patterns = [*HUB_PATTERNS, *TOKENIZER_FILES, *TOKENIZER_SETTINGS]
     try:
         info = huggingface_hub.HfApi().model_info(

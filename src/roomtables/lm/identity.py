@@ -15,9 +15,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import ModelError
+from roomtables.errors import ModelError, needing
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
 from roomtables.scorer import DTYPES, SCORINGS
+from roomtables.storage.files import sha256_of
 
 SCORING_RULE_VERSION = "1"
 """Raise it whenever what is scored changes: which tokens, the BOS rule, the masking rule."""
@@ -107,7 +108,8 @@ def device_class(device: str) -> str:
         raise ModelError(f"unknown device {device!r}; use one of {', '.join(DEVICES)}")
     if device == "cpu":
         return "cpu"
-    import torch
+    with needing("a language model on this machine's own device"):
+        import torch
 
     if torch.cuda.is_available():
         return "cuda"
@@ -170,7 +172,7 @@ def _hashes(files: list[Path]) -> dict[str, str]:
         key = f"{file.resolve()}|{stat.st_size}|{stat.st_mtime_ns}|{stat.st_ino}"
         if key not in memo:
             with file.open("rb") as stream:
-                memo[key] = hashlib.file_digest(stream, "sha256").hexdigest()
+                memo[key] = sha256_of(stream)
         hashes[file.name] = memo[key]
     if len(memo) > known:
         _write_memo(memo_path, memo)

@@ -172,7 +172,9 @@ class RoomTables:
             best[missed] = self._model_pass.back_off_many(ranked.only(missed))
             backed_off.update(missed.tolist())
         asked = sorted(for_model)
-        answers = dict(zip(asked, self._model_pass.answer(map(question, asked)), strict=True))
+        answers: dict[int, Prediction] = dict(
+            zip(asked, self._model_pass.answer(map(question, asked)), strict=True)
+        )
 
         def predict(at: int) -> Prediction:
             if at in answers:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from roomtables.english import can_inflect
 from roomtables.labels import ObjectLabel
 from roomtables.names import as_spoken
 from roomtables.online import rules
@@ -62,10 +63,12 @@ class ModelPass:
     def ranks_unlisted(self) -> bool:
         """Whether unlisted objects can be ranked among the listed ones; loads the model.
 
-        Only the model whose scores the tables hold can do that: another's are not comparable.
+        Only the model whose scores the tables hold can do that: another's are not comparable. Its
+        sentences need the objects' plurals.
         """
         proxy = self._decider.decision.source == PROXY
-        return proxy and self._model.extends_tables and self.has_model()
+        comparable = proxy and self._model.extends_tables
+        return comparable and self.has_model() and can_inflect()
 
     def has_model(self) -> bool:
         """Whether there is a model to ask; loads it."""

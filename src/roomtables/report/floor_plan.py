@@ -9,10 +9,11 @@ from __future__ import annotations
 import html
 import io
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import InputError, MissingExtraError
+from roomtables.errors import InputError, needing
 from roomtables.labels import normalise
 from roomtables.scenes.scene import Box, Scene, SceneRoom
 from roomtables.storage.files import write_aside
@@ -38,10 +39,8 @@ def needs_matplotlib(output: Path) -> None:
     """
     if output.suffix.lower() not in _SUFFIXES:
         raise InputError(f"{output}: a floor plan is {', '.join(_SUFFIXES)}; name the file so")
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("drawing a floor plan", "report") from error
+    with needing("drawing a floor plan"):
+        import_module("matplotlib")
 
 
 def draw(scene: Scene, answers: Answers, output: Path) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import InputError, MissingExtraError
+from roomtables.errors import InputError, needing
 from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel, normalise
 
 _NOT_OBJECTS = frozenset({"", "unknown", "void", "unlabeled", "unlabelled", "misc"})
@@ -61,10 +61,8 @@ def _object_ids(document: dict[str, Any], names: dict[int, str], path: Path) -> 
 
 
 def _load_yaml(path: Path) -> Any:
-    try:
+    with needing("reading a Hydra label space"):
         import yaml
-    except ImportError as error:
-        raise MissingExtraError("reading a Hydra label space", "scene-graphs") from error
     try:
         with path.open(encoding="utf-8") as file:
             return yaml.safe_load(file)

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import InputError, MissingExtraError, first_line
+from roomtables.errors import InputError, first_line, needing
 from roomtables.scenes.dsg import NamedRoom, graph_scene, room_label_space
 from roomtables.scenes.dsg_graph import label_spaces, parse_graph, rooms_of, symbol
 from roomtables.scenes.hydra import load_label_names
@@ -96,10 +96,9 @@ def write_sparkdsg(document: dict[str, Any], path: Path) -> None:
 
 def _graph_class() -> Any:
     """``spark_dsg.DynamicSceneGraph``."""
-    try:
+    with needing("a .sparkdsg scene graph"):
         from spark_dsg import DynamicSceneGraph
-    except ImportError as error:
-        raise MissingExtraError("a .sparkdsg scene graph", "scene-graphs") from error
+
     return DynamicSceneGraph
 
 

@@ -18,7 +18,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from roomtables.errors import InputError, StoreError
+from roomtables.errors import InputError, StoreError, needing
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.versions import CURRENT, LOOKUP, MANIFEST, Pointer, SpaceFolder, Version
 
@@ -106,7 +106,8 @@ def _add(
 def _compressed(path: Path, name: str) -> Iterator[Any]:
     """A stream to write the archive to, compressed as its name says."""
     if name.endswith(".zst"):
-        import pyarrow as pa
+        with needing("an archive *.tar.zst (*.tar.gz needs nothing)"):
+            import pyarrow as pa
 
         with pa.CompressedOutputStream(str(path), "zstd") as stream:
             yield stream

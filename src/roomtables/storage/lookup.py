@@ -35,6 +35,7 @@ from roomtables.labels import (
     RoomLabel,
     normalise,
 )
+from roomtables.storage.files import sha256_of
 from roomtables.storage.manifest import Manifest
 
 INDEX = "lookup.json"
@@ -215,7 +216,7 @@ def _open_array(folder: Path, listed: Mapping[str, Any], name: str, verify: bool
         else:
             good = sampled_sha256(file, size) == listed["sample_sha256"]
             if good and verify:
-                good = hashlib.file_digest(file, "sha256").hexdigest() == listed["sha256"]
+                good = sha256_of(file) == listed["sha256"]
             if good:
                 array = _map(file, size)
     if array is None:

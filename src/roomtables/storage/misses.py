@@ -20,7 +20,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,7 +60,7 @@ class MissLog:
 
     def note(self, source: str, combinations: Iterable[Sequence[str]]) -> None:
         """Append one line per combination."""
-        asked = datetime.now(UTC).isoformat(timespec="seconds")
+        asked = datetime.now(timezone.utc).isoformat(timespec="seconds")
         lines = [
             json.dumps({"source": source, "objects": list(objects), "asked": asked})
             for objects in combinations
@@ -188,7 +188,7 @@ def _parse(line: bytes) -> tuple[tuple[str, tuple[str, ...]], datetime] | None:
     try:
         value: Any = json.loads(line)
         source, objects = value["source"], value["objects"]
-        asked = datetime.fromisoformat(value["asked"]).astimezone(UTC)
+        asked = datetime.fromisoformat(value["asked"]).astimezone(timezone.utc)
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
     names = isinstance(objects, list) and objects and all(isinstance(o, str) for o in objects)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
@@ -35,7 +35,7 @@ def test_what_is_noted_is_counted(tmp_path: Path) -> None:
         ("ground_truth", ("bed", "lamp"), 1),
         ("proxy", ("sink",), 1),
     ]
-    assert all(datetime.now(UTC) - m.last_asked < timedelta(minutes=1) for m in found)
+    assert all(datetime.now(timezone.utc) - m.last_asked < timedelta(minutes=1) for m in found)
 
 
 def test_no_folder_is_no_misses(tmp_path: Path) -> None:
