@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import choose
 from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
-from roomtables.lm.trie import Sequences, sort_sequences
+from roomtables.packing.sequences import FloatArray, Sequences, sort_sequences
 
 
 class CausalBackend:
@@ -34,7 +34,7 @@ class CausalBackend:
         candidates = _candidates(forward.model.config.get_text_config(), encoder.context)
         self.strategy, self._run, self.fallbacks = choose(candidates, forward, encoder, budget)
 
-    def encode(self, sentences: Sequence[str]) -> list[list[int]]:
+    def encode(self, sentences: Sequence[str]) -> list[Sequence[int]]:
         """Token ids of each sentence; see :meth:`Encoder.encode` for what it refuses."""
         return self.encoder.encode(sentences)
 

@@ -16,9 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from roomtables.lm.trie import IntArray
-
-FloatArray = npt.NDArray[np.float64]
+from roomtables.packing.sequences import FloatArray, IntArray
 
 # Elements of a block of logits: small enough for a CPU's cache, large enough for a GPU's launch.
 _BLOCK = {"cpu": 1 << 20, "cuda": 1 << 26}
