@@ -20,7 +20,8 @@ class CausalBackend:
     """Sum of log p(token | tokens before it) over a sentence's scored tokens (paper equation 1).
 
     The fastest strategy that agrees with naive scoring is chosen when the backend is made;
-    ``fallbacks`` says why the faster ones were passed over.
+    ``fallbacks`` says why the faster ones were passed over. Strategy ``trie`` packs rows of
+    ``row_nodes``, and only sequences no longer than the model's attention ``window``, if any.
 
     Raises
     ------
@@ -33,6 +34,9 @@ class CausalBackend:
         self.encoder = encoder
         candidates = _candidates(forward.model.config.get_text_config(), encoder.context)
         self.strategy, self._run, self.fallbacks = choose(candidates, forward, encoder, budget)
+        packing: dict[str, Any] = getattr(self._run, "keywords", {})
+        self.row_nodes: int | None = packing.get("row_nodes")
+        self.window: int | None = packing.get("window")
 
     def encode(self, sentences: Sequence[str]) -> list[Sequence[int]]:
         """Token ids of each sentence; see :meth:`Encoder.encode` for what it refuses."""

@@ -15,7 +15,7 @@ from roomtables.errors import ModelError
 from roomtables.token_limits import TokenLimits
 
 _PROBE = "A room containing toilets is called a bathroom."
-_PROBES = (
+PROBES = (
     _PROBE,
     "a",
     "Washing machines, rec/game rooms & cafés:  é 中 \n <|endoftext|> [SEP] </s>",
@@ -95,7 +95,7 @@ class Encoder:
             return [encoding.ids for encoding in core.encode_batch_fast(list(sentences))]
 
         try:
-            return direct if direct(_PROBES) == whole(_PROBES) else whole
+            return direct if direct(PROBES) == whole(PROBES) else whole
         except (AttributeError, TypeError):  # a tokenizer without such a core
             return whole
 

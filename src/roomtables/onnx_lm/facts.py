@@ -1,4 +1,4 @@
-"""What an ONNX file says of itself: the metadata that ``lm`` writes and :class:`OnnxScorer` reads."""
+"""What an ONNX file says of itself: metadata that ``lm`` writes and :class:`OnnxScorer` reads."""
 
 from __future__ import annotations
 

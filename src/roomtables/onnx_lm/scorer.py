@@ -28,6 +28,8 @@ _WINDOW = 8192  # sentences that are packed together
 # Tokens of a pass: enough to keep the matrix products busy, and no more than some 8 MB of logits.
 _MOST_TOKENS = 512
 _MOST_LOGITS = 1 << 21
+_BYTES_OF_A_WEIGHT = 2  # in half precision
+_AGAIN = "run `roomtables export --with-model` again, or install roomtables again"
 
 
 class OnnxScorer:
@@ -53,10 +55,10 @@ class OnnxScorer:
         self._budget = max(facts.row_nodes, fitting)
 
     @classmethod
-    def open(cls, path: str | Path) -> OnnxScorer:
+    def open(cls, path: str | Path, *, probe: bool = True) -> OnnxScorer:
         """Open an ONNX file (or the folder that holds ``model.onnx``) and its ``tokenizer.json``.
 
-        Two sentences are scored, and compared with what the torch model gave them.
+        ``probe``: two sentences are scored, and compared with what the torch model gave them.
 
         Raises
         ------
@@ -74,17 +76,18 @@ class OnnxScorer:
         except ImportError as error:
             raise MissingExtraError(f"the language model {path}", "robot") from error
         try:
-            facts = _facts(onnxruntime, path)
             session = onnxruntime.InferenceSession(
-                path, _options(onnxruntime, facts), providers=["CPUExecutionProvider"]
+                path, _options(onnxruntime, path), providers=["CPUExecutionProvider"]
             )
+            facts = _facts(session)
             tokenizer = _tokenizer(Tokenizer, path.with_name(TOKENIZER_FILE), facts)
         except FactsError as error:
             raise ModelError(f"{path}: {error}; {_AGAIN}") from error
         except Exception as error:  # whatever a damaged file is to either package
             raise ModelError(f"cannot read {path} ({first_line(error)}); {_AGAIN}") from error
         scorer = cls(session, tokenizer, facts, onnxruntime.__version__)
-        scorer._check_probe(path)
+        if probe:
+            scorer._check_probe(path)
         return scorer
 
     @property
@@ -203,37 +206,25 @@ class OnnxScorer:
             )
 
 
-_AGAIN = "run `roomtables export --with-model` again, or install roomtables again"
-
-
-def _facts(onnxruntime: Any, path: Path) -> OnnxFacts:
-    """The facts of a file, read without preparing its graph for work."""
+def _options(onnxruntime: Any, path: Path) -> Any:
+    """Settings that keep memory low, and processors free for other programs."""
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = _ERRORS
-    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
-    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    metadata = session.get_modelmeta().custom_metadata_map
-    facts = OnnxFacts.read(metadata)
-    given = tuple(declared.name for declared in session.get_inputs())
-    if sorted(given) != sorted(INPUTS[facts.graph]):
-        raise FactsError("its graph has other inputs than its metadata say")
-    return facts
-
-
-_ERRORS = 3  # of ONNX Runtime's levels of severity
-
-
-def _options(onnxruntime: Any, facts: OnnxFacts) -> Any:
-    """Settings that keep memory low, and other programs' processors free."""
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = _ERRORS
+    options.log_severity_level = 3  # errors only
     options.inter_op_num_threads = 1
-    if facts.parameters < ONE_THREAD_PARAMETERS:
+    if path.stat().st_size < ONE_THREAD_PARAMETERS * _BYTES_OF_A_WEIGHT:
         options.intra_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.enable_cpu_mem_arena = False
     options.enable_mem_pattern = False
     return options
+
+
+def _facts(session: Any) -> OnnxFacts:
+    facts = OnnxFacts.read(session.get_modelmeta().custom_metadata_map)
+    given = sorted(declared.name for declared in session.get_inputs())
+    if given != sorted(INPUTS[facts.graph]):
+        raise FactsError("its graph has other inputs than its metadata say")
+    return facts
 
 
 def _tokenizer(tokenizers: Any, path: Path, facts: OnnxFacts) -> Any:
