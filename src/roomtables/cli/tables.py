@@ -201,9 +201,14 @@ def misses_command(tables: Path, labels: str, format_: str, output: Path | None)
     show_default=True,
     help="The archive: .tar.zst, .tar.gz or .tar.",
 )
+@click.option(
+    "--with-model",
+    is_flag=True,
+    help="The model, too, in ONNX: it answers what no table holds, without torch.",
+)
 @tables_option
 @labels_option
-def export_command(output: Path, tables: Path, labels: str) -> None:
+def export_command(output: Path, with_model: bool, tables: Path, labels: str) -> None:
     """Pack the published tables for a robot: what a lookup needs, in one archive.
 
     \b
@@ -211,9 +216,11 @@ def export_command(output: Path, tables: Path, labels: str) -> None:
       roomtables export -o tables.tar.zst --labels mpcat40
       tar --zstd -xf tables.tar.zst        # on the robot
     """
+    from roomtables.offline.robot_model import write_robot_model
     from roomtables.storage.export import export
 
-    for found in export(tables, Path(labels).name, output):
+    packed = export(tables, Path(labels).name, output, write_robot_model if with_model else None)
+    for found in packed:
         click.echo(
             f"{found.source}: {found.combinations:,} combinations x {found.rooms} rooms, "
             f"{_megabytes(found.bytes)} unpacked"

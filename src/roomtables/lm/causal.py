@@ -52,6 +52,10 @@ class CausalBackend:
         return self._run(self.forward, sequences, budget, meter)[index]
 
 
+# Not `max_window_layers` or `sliding_window_pattern`, which count layers.
+_WINDOW_KEYS = ("window", "window_size", "chunk_size")
+
+
 def _candidates(config: Any, context: int | None) -> list[tuple[str, Strategy]]:
     """Strategies by falling speed. Some attend by column within a row, so rows get a second try
     no longer than the model's attention window or context."""
@@ -69,7 +73,7 @@ def _attention_window(config: Any) -> int | None:
     sizes = [
         size
         for key, size in config.to_dict().items()
-        if ("window" in key or "chunk_size" in key) and type(size) is int and size > 0
+        if key.endswith(_WINDOW_KEYS) and type(size) is int and size > 0
     ]
     return min(sizes, default=None)
 

@@ -40,10 +40,14 @@ class OnnxScorer:
 
     Attributes
     ----------
+    path : the file
     facts : what the file says of itself
     """
 
-    def __init__(self, session: Any, tokenizer: Any, facts: OnnxFacts, runtime: str) -> None:
+    def __init__(
+        self, path: Path, session: Any, tokenizer: Any, facts: OnnxFacts, runtime: str
+    ) -> None:
+        self.path = path
         self.facts = facts
         self._session = session
         self._tokenizer = tokenizer
@@ -85,9 +89,9 @@ class OnnxScorer:
             raise ModelError(f"{path}: {error}; {_AGAIN}") from error
         except Exception as error:  # whatever a damaged file is to either package
             raise ModelError(f"cannot read {path} ({first_line(error)}); {_AGAIN}") from error
-        scorer = cls(session, tokenizer, facts, onnxruntime.__version__)
+        scorer = cls(path, session, tokenizer, facts, onnxruntime.__version__)
         if probe:
-            scorer._check_probe(path)
+            scorer._check_probe()
         return scorer
 
     @property
@@ -196,13 +200,13 @@ class OnnxScorer:
             raise ModelError(f"{self.scorer_id} failed ({first_line(error)}); {_AGAIN}") from error
         return np.asarray(log_probs, np.float64)
 
-    def _check_probe(self, path: Path) -> None:
+    def _check_probe(self) -> None:
         scores = [score.log_prob for score in self.score(self.facts.probe)]
         apart = np.abs(np.subtract(scores, self.facts.probe_nats)).max(initial=0.0)
         if apart > TOLERANCE_NATS:
             raise ModelError(
-                f"{path} is {apart:.2g} nats from the scores of {self.scorer_id}, which it was "
-                f"made from; {_AGAIN}"
+                f"{self.path} is {apart:.2g} nats from the scores of {self.scorer_id}, which it "
+                f"was made from; {_AGAIN}"
             )
 
 
