@@ -210,9 +210,14 @@ def misses_command(tables: Path, labels: str | None, format_: str, output: Path 
     show_default=True,
     help="The archive: .tar.zst, .tar.gz or .tar.",
 )
+@click.option(
+    "--with-model",
+    is_flag=True,
+    help="The model, too, in ONNX: it answers what no table holds, without torch.",
+)
 @tables_option
 @labels_option
-def export_command(output: Path, tables: Path, labels: str | None) -> None:
+def export_command(output: Path, with_model: bool, tables: Path, labels: str | None) -> None:
     """Pack the published tables for a robot: what a lookup needs, in one archive.
 
     \b
@@ -220,9 +225,12 @@ def export_command(output: Path, tables: Path, labels: str | None) -> None:
       roomtables export -o tables.tar.zst
       tar --zstd -xf tables.tar.zst        # on the robot
     """
+    from roomtables.offline.robot_model import write_robot_model
     from roomtables.storage.export import export
 
-    for found in export(tables, find_space(tables, labels).labels, output):
+    space = find_space(tables, labels).labels
+    packed = export(tables, space, output, write_robot_model if with_model else None)
+    for found in packed:
         click.echo(
             f"{found.source}: {found.combinations:,} combinations x {found.rooms} rooms, "
             f"{_megabytes(found.bytes)} unpacked"

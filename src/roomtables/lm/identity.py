@@ -17,13 +17,11 @@ from typing import Any
 
 from roomtables.errors import ModelError, needing
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
-from roomtables.scorer import DTYPES, SCORINGS
+from roomtables.scorer import DTYPES, SCORING_RULE_VERSION, SCORINGS
 from roomtables.storage.files import sha256_of
 
-SCORING_RULE_VERSION = "1"
-"""Raise it whenever what is scored changes: which tokens, the BOS rule, the masking rule."""
-
-DEVICES = ("cpu", "cuda", "auto")
+DEVICE_CLASSES = ("cpu", "cuda")
+DEVICES = (*DEVICE_CLASSES, "auto")
 
 # Written by a library that saved the files, without any bearing on a score.
 _VOLATILE = {
@@ -72,6 +70,29 @@ def identify(
     """
     folder = resolve(model, revision)
     return scorer_id(folder, dtype, device_class(device), scoring_kind(folder, scoring))
+
+
+def identities(
+    model: str,
+    *,
+    revision: str | None = None,
+    dtype: str = "float32",
+    scoring: str | None = None,
+) -> tuple[str, ...]:
+    """The ``scorer_id`` of a model on each device class: its identity, device class aside.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be found, or an argument makes no sense.
+    """
+    return on_every_device(resolve(model, revision), dtype, scoring)
+
+
+def on_every_device(folder: ModelFolder, dtype: str, scoring: str | None) -> tuple[str, ...]:
+    """The ``scorer_id`` of a model's folder on each of :data:`DEVICE_CLASSES`; raises as above."""
+    kind = scoring_kind(folder, scoring)
+    return tuple(scorer_id(folder, dtype, device, kind) for device in DEVICE_CLASSES)
 
 
 def scoring_kind(folder: ModelFolder, scoring: str | None) -> str:

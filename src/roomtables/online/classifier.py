@@ -108,7 +108,7 @@ class RoomTables:
         space = _space(Path(tables), labels)
         version, lookup = _open_published(space, verify)
         misses = MissLog(space.path / FOLDER) if note_misses else None
-        model = QueryModel(version.manifest, scorer, allowed=not offline)
+        model = QueryModel(version.manifest, scorer, not offline, version.path)
         built = version.manifest.settings
         settings: dict[str, Any] = {name: getattr(built, name) for name in _SETTINGS}
         settings |= {name: value for name, value in decision.items() if value is not None}

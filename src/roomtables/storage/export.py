@@ -1,4 +1,4 @@
-"""Pack what a robot needs of a published version into one archive: lookup files and manifest.
+"""Pack what a robot needs of a published version: lookup files, manifest, and perhaps a model.
 
 The archive holds ``tables/<label space>/``, with ``CURRENT`` last; unpacked, it opens like the
 tables it came from, read-only file systems included.
@@ -11,7 +11,7 @@ import io
 import os
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -20,7 +20,16 @@ from typing import IO, Any
 
 from roomtables.errors import InputError, StoreError, needing
 from roomtables.storage.lookup import Lookup
-from roomtables.storage.versions import CURRENT, LOOKUP, MANIFEST, Pointer, SpaceFolder, Version
+from roomtables.storage.manifest import FileFacts
+from roomtables.storage.versions import (
+    CURRENT,
+    LOOKUP,
+    MANIFEST,
+    MODEL,
+    Pointer,
+    SpaceFolder,
+    Version,
+)
 
 ROOT = "tables"
 SUFFIXES = (".tar.zst", ".tar.gz", ".tar")
@@ -36,10 +45,19 @@ class ExportedSource:
     bytes: int
 
 
-def export(tables: Path, labels: str, output: Path) -> tuple[ExportedSource, ...]:
+WriteModel = Callable[[Version, Lookup, Path], None]
+"""Writes the model that scored a version's query sentences into a folder, as ONNX Runtime reads it.
+"""
+
+
+def export(
+    tables: Path, labels: str, output: Path, write_model: WriteModel | None = None
+) -> tuple[ExportedSource, ...]:
     """Pack the published version of a label space; every byte of it is verified on the way.
 
     ``output`` is ``*.tar.zst``, ``*.tar.gz`` or ``*.tar``; written aside, then moved into place.
+    What ``write_model`` writes becomes the version's folder ``model``; what it raises leaves
+    nothing behind.
 
     Raises
     ------
@@ -55,8 +73,12 @@ def export(tables: Path, labels: str, output: Path) -> tuple[ExportedSource, ...
     try:
         with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}.") as folder:
             aside = Path(folder) / "archive"
+            model = Path(folder) / MODEL
+            model.mkdir()
+            if write_model is not None:
+                write_model(version, lookup, model)
             with _compressed(aside, output.name) as stream:
-                _pack(stream, version)
+                _pack(stream, version, model)
             os.replace(aside, output)
     except OSError as error:
         raise StoreError(
@@ -73,16 +95,20 @@ def _bytes(version: Version, source: str) -> int:
     return sum(fact.bytes for name, fact in facts if name.startswith(f"{LOOKUP}/{source}."))
 
 
-def _pack(stream: IO[bytes], version: Version) -> None:
+def _pack(stream: IO[bytes], version: Version, model: Path) -> None:
     space = f"{ROOT}/{version.manifest.labels}"
     inside = f"{space}/{version.name}"
     noted = version.manifest.files
     packed = {name: noted[name] for name in sorted(noted) if name.startswith(f"{LOOKUP}/")}
+    places = {name: version.path / name for name in packed}
+    for path in sorted(model.iterdir()):
+        name = f"{MODEL}/{path.name}"
+        packed[name], places[name] = FileFacts.of(path), path
     manifest = replace(version.manifest, files=packed).to_bytes()
     pointer = Pointer(version.name, sha256(manifest).hexdigest())
     with tarfile.open(fileobj=stream, mode="w|") as archive:
-        for name in packed:
-            with (version.path / name).open("rb") as file:
+        for name, path in places.items():
+            with path.open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
                 _add(archive, version, f"{inside}/{name}", size, file)
         for place, content in (

@@ -3,7 +3,7 @@
 ::
 
     tables/<label space>/CURRENT            names the published version
-    tables/<label space>/<version>/manifest.json, *.parquet, lookup/
+    tables/<label space>/<version>/manifest.json, *.parquet, lookup/, model/ (exported ones)
 
 A reader opens through ``CURRENT`` once and keeps what it opened; a writer never touches a published
 file. This module needs no pyarrow and no duckdb.
@@ -27,6 +27,7 @@ from roomtables.storage.manifest import FileFacts, Manifest, ManifestError, Sche
 MANIFEST = "manifest.json"
 CURRENT = "CURRENT"
 LOOKUP = "lookup"
+MODEL = "model"  # the folder of a language model, in tables that were exported with one
 KEPT_VERSIONS = 2
 _STAGING = ".staging-"
 _KEPT = "what is scored is kept"
