@@ -21,7 +21,7 @@ from roomtables.errors import first_line
 
 NESTING = 100  # arrays and objects inside each other
 INTEGER_DIGITS = 20  # what 64 bits hold
-NAME_CHARACTERS = 1000  # of an object, a room, or a room's id
+NAME_CHARACTERS = 10_000  # of an object, a room, or a room's id
 FLOAT32_MAX = 3.4028234663852886e38  # scores are stored as 32-bit numbers
 LARGEST_COUNT = 2.0**53  # what a 64-bit number counts exactly
 
@@ -96,8 +96,10 @@ def decoded(content: bytes) -> str:
         raise MalformedError(f"not UTF-8 text ({error.reason})") from error
 
 
-def json_value(content: str | bytes) -> Any:
+def json_value(content: str | bytes, *, any_number: bool = False) -> Any:
     """The value of a JSON document. Of a key that comes twice, the last counts.
+
+    ``any_number`` lets NaN, infinity and integers beyond 64 bits pass, as model folders hold them.
 
     Raises
     ------
@@ -105,8 +107,8 @@ def json_value(content: str | bytes) -> Any:
         It is no JSON, or breaks a limit.
     """
     text = decoded(content) if isinstance(content, bytes) else _checked(content)
-    hooks: dict[str, Any] = {"parse_constant": _refuse_constant}
-    if _LONG_NUMBER.search(text):  # seldom: a hook per integer takes time
+    hooks: dict[str, Any] = {} if any_number else {"parse_constant": _refuse_constant}
+    if not any_number and _LONG_NUMBER.search(text):  # seldom: a hook per integer takes time
         hooks["parse_int"] = _short_integer
     try:
         value = json.loads(text, **hooks)
@@ -115,6 +117,8 @@ def json_value(content: str | bytes) -> Any:
         raise MalformedError(said, error.lineno) from error
     except RecursionError as error:
         raise MalformedError(_TOO_DEEP) from error
+    except ValueError as error:  # of ours, or an integer of thousands of digits
+        raise MalformedError(first_line(error)) from error
     if text.count("[") + text.count("{") > NESTING:
         _check_nesting(value)
     if _SURROGATE.search(text):
