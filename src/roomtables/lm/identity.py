@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.errors import ModelError, needing
+from roomtables.limits import JSON_BYTES, json_value, read_bytes
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
 from roomtables.scorer import DTYPES, SCORING_RULE_VERSION, SCORINGS
 from roomtables.storage.files import sha256_of
@@ -103,8 +104,7 @@ def scoring_kind(folder: ModelFolder, scoring: str | None) -> str:
     ModelError
         The scoring is unknown, or asks of a model what its kind cannot do.
     """
-    architecture = (folder.config.get("architectures") or [""])[0]
-    model_type = folder.config.get("model_type", "")
+    architecture, model_type = folder.architecture, folder.model_type
     masked = "MaskedLM" in architecture or (not architecture and model_type in _MASKED_TYPES)
     if scoring is None:
         return "pll" if masked else "causal"
@@ -178,7 +178,7 @@ def _content_hash(file: Path) -> str:
     content = file.read_bytes()
     if file.suffix == ".json":
         with contextlib.suppress(ValueError):
-            content = _canonical(_stable(json.loads(content)))
+            content = _canonical(_stable(json_value(content, any_number=True)))
     return hashlib.sha256(content).hexdigest()
 
 
@@ -207,7 +207,7 @@ def _memo_path() -> Path:
 
 def _read_memo(path: Path) -> dict[str, str]:
     try:
-        memo = json.loads(path.read_text(encoding="utf-8"))
+        memo = json_value(read_bytes(path, JSON_BYTES))
     except (OSError, ValueError):
         return {}
     return memo if isinstance(memo, dict) else {}

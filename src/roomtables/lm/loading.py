@@ -160,7 +160,7 @@ def _out_of_memory_named(folder: ModelFolder, dtype: str) -> Iterator[None]:
 
 
 def _refuse_foreign_code(folder: ModelFolder) -> None:
-    model_type = folder.config.get("model_type", "")
+    model_type = folder.model_type
     if model_type in transformers.CONFIG_MAPPING:
         return
     if "auto_map" in folder.config:

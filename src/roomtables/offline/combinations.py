@@ -75,11 +75,13 @@ class Asked:
     by_source : per source, the combinations of misses, and those that are published already, as
         numbers ``[n, widest]``: each row ascending, 0 behind the last; rows sorted and distinct
     misses : the misses that were read; ``None`` where they were not
+    known : every name of an object of the label space, normalised
     """
 
     rooms: tuple[tuple[int, ...], ...] = ()
     by_source: Mapping[str, Ranks] = field(default_factory=dict)
     misses: Misses | None = None
+    known: frozenset[str] = frozenset()
 
     @classmethod
     def by_file(cls, combinations: str, labels: LabelSpace) -> Asked:
@@ -110,7 +112,7 @@ class Asked:
         space = SpaceFolder(tables, labels.name)
         misses = Misses.read(space.path / FOLDER)
         if combinations == ALL:
-            return replace(self, misses=misses)
+            return replace(self, misses=misses, known=frozenset(labels.object_aliases))
         questions = {(miss.source, miss.objects) for miss in misses.open}
         found: dict[str, list[Ranks]] = {}
         if combinations == MISSES:
@@ -124,12 +126,13 @@ class Asked:
                 row = np.array([[numbers[label] for label in sorted(set(known))]], np.int64)
                 found.setdefault(source, []).append(row)
         by_source = {source: _distinct(parts) for source, parts in sorted(found.items())}
-        return replace(self, by_source=by_source, misses=misses)
+        names = frozenset(labels.object_aliases)
+        return replace(self, by_source=by_source, misses=misses, known=names)
 
     def take_in_misses(self) -> None:
         """Note that a published version holds the misses that were read."""
         if self.misses is not None:
-            self.misses.take_in()
+            self.misses.take_in(self.known)
 
     def recorded(self) -> list[str]:
         """What was asked for, hashed: for the record of a build's inputs."""

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import mmap
 import os
 from collections.abc import Mapping
@@ -35,6 +34,7 @@ from roomtables.labels import (
     RoomLabel,
     normalise,
 )
+from roomtables.limits import JSON_BYTES, json_value, read_bytes
 from roomtables.storage.files import sha256_of
 from roomtables.storage.manifest import Manifest
 
@@ -143,18 +143,25 @@ class Lookup:
             raise StoreError(
                 f"cannot read {error.filename or folder}: {error.strerror}; run `roomtables build`"
             ) from error
-        except (ValueError, KeyError, TypeError, IndexError, EOFError) as error:
+        except (
+            ArithmeticError,
+            AttributeError,
+            EOFError,
+            LookupError,
+            TypeError,
+            ValueError,
+        ) as error:
             raise StoreError(
                 f"{folder} is damaged ({error}); run `roomtables build --full-refresh`"
             ) from error
 
     @classmethod
     def _open(cls, folder: Path, manifest: Manifest, verify: bool) -> Lookup:
-        content = (folder / INDEX).read_bytes()
+        content = read_bytes(folder / INDEX, JSON_BYTES)
         noted = manifest.files[f"{folder.name}/{INDEX}"]
         if hashlib.sha256(content).hexdigest() != noted.sha256:
             raise ValueError(f"{INDEX} is not the one that the manifest names")
-        index = json.loads(content)
+        index = json_value(content)
         objects = tuple(ObjectLabel(label, plural) for label, plural in index["objects"])
         rooms = tuple(RoomLabel(r, article, (), p) for r, article, p in index["rooms"])
         columns = [room.label for room in rooms if room.predicted]

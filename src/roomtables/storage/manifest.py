@@ -18,6 +18,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from roomtables.config import BuildConfig
 from roomtables.errors import ConfigError
+from roomtables.limits import MalformedError, json_value
 from roomtables.schemas import SCHEMA_VERSION
 from roomtables.storage.files import sha256_of
 
@@ -163,12 +164,9 @@ class Manifest:
             schema version.
         """
         try:
-            value = json.loads(content)
-            json.dumps(value, ensure_ascii=False).encode()
-        except UnicodeEncodeError as error:
-            raise ManifestError("it holds characters that are no text") from error
-        except (ValueError, RecursionError) as error:
-            raise ManifestError(f"it is not JSON: {error}") from error
+            value = json_value(content)
+        except MalformedError as error:
+            raise ManifestError(str(error)) from error
         if not isinstance(value, dict):
             raise ManifestError("it is not a JSON object")
         if value.get("schema_version") != SCHEMA_VERSION:

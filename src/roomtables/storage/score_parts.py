@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roomtables.errors import StoreError
+from roomtables.limits import json_value
 from roomtables.storage.files import refuse_outside, sha256_of, writing
 
 PART_SCHEMA = pa.schema(
@@ -64,7 +65,7 @@ class Part:
         """
         try:
             found = pq.read_metadata(path)
-            footer = json.loads((found.metadata or {}).get(FOOTER_KEY.encode(), b"{}"))
+            footer = json_value((found.metadata or {}).get(FOOTER_KEY.encode(), b"{}"))
             columns = [(c.name, c.type) for c in found.schema.to_arrow_schema()]
             replaces = frozenset(map(str, footer.get("replaces", ())))
             part = cls(

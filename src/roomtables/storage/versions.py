@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from roomtables.errors import StoreError
+from roomtables.limits import JSON_BYTES, MalformedError, read_bytes
 from roomtables.storage.files import check_name, is_held, refuse_outside, write_aside, writing
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError, SchemaVersionError
 
@@ -82,10 +83,11 @@ class Version:
         manifest_path = path / MANIFEST
         refuse_outside(path.parent.parent, path, manifest_path, path / LOOKUP)
         try:
-            content = manifest_path.read_bytes()
-        except OSError as error:
+            content = read_bytes(manifest_path, JSON_BYTES)
+        except (OSError, MalformedError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
             raise StoreError(
-                f"cannot read {manifest_path}: {error.strerror}; run `roomtables build`"
+                f"cannot read {manifest_path}: {why}; run `roomtables build`"
             ) from error
         try:
             manifest = Manifest.from_bytes(content)
