@@ -12,10 +12,12 @@ SLOW   ?=
 .PHONY: demo test test-slow lint household-lm clean
 
 demo: $(VENV)/.installed-lm
-	@echo "== build: p(room | object) for mpcat40, and the combinations that the example needs"
+	@echo "== build: p(room | object) for household, and the combinations that the example needs"
 	$(BIN)/roomtables build --tables $(DEMO) --combinations $(EXAMPLE)
 	@echo "== label the example scene, from the tables alone"
 	$(BIN)/roomtables classify --tables $(DEMO) --input $(EXAMPLE) --offline
+	@echo "== a robot's own names, and no model: the objects' own evidence decides"
+	$(BIN)/roomtables classify --tables $(DEMO) --offline Refrigerator_1 MicrowaveOven "gas stove"
 	@echo "== a combination that no table holds: one pass of the model"
 	$(BIN)/roomtables classify --tables $(DEMO) --rule query bathtub towel mirror
 	@echo "== what the tables know"
