@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel
+from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel, normalise
 from roomtables.names import NameReader, as_spoken
 from roomtables.sentences import Template
 
@@ -78,11 +78,11 @@ class PlainDecision:
         known: list[str] = []
         unknown: dict[str, str] = {}
         for name in names:
-            spelled = as_spoken(name)
+            spelled = normalise(name)
             label = self._read(name)
             if label is None and spelled and self.model and self.source == "proxy":
-                self._unlisted[spelled] = ObjectLabel.named(spelled)
-                label = spelled
+                label = as_spoken(name)
+                self._unlisted[label] = ObjectLabel.named(label)
             if label is not None:
                 known.append(label)
             elif spelled:

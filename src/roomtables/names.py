@@ -61,14 +61,21 @@ _AMOUNTS = frozenset(
         "pile", "roll", "row", "set", "sheet", "slice", "stack", "strip",
     ]
 )  # fmt: skip
-_NEGATIONS = frozenset(["no", "not"])
+_NEGATIONS = frozenset(["no", "non", "not"])
 _TOY = "toy"
-# Compounds that are not what their last word says.
+# Compounds that are not what their last word says, or not in such a place: most are what the lists
+# of LVIS, Objects365 and Open Images hold.
 _NO_SUCH_THING = frozenset(
     [
-        "candy bar", "chocolate bar", "flower bed", "guinea pig", "hot dog", "nail file",
-        "power plant", "river bed", "sea horse", "sea lion", "toilet paper", "traffic light",
-        "truck bed", "zip tie",
+        "air balloon", "bottle cap", "brake light", "business card", "cabin car", "candy bar",
+        "cat bed", "chain mail", "chocolate bar", "chopping board", "cutting board", "dirt bike",
+        "diving board", "dog bed", "elevator car", "flower bed", "freight car", "game board",
+        "golf cart", "gravy boat", "guinea pig", "home plate", "horizontal bar", "hot dog",
+        "identity card", "ironing board", "license plate", "nail file",
+        "peanut butter", "pet bed", "pipe bowl", "power plant", "power shovel", "railroad car",
+        "river bed", "sea horse", "sea lion", "seat belt", "skirting board", "street light",
+        "tea bag", "tobacco pipe", "toilet paper", "traffic light", "truck bed", "water scooter",
+        "wet suit", "zip tie",
     ]
 )  # fmt: skip
 
@@ -156,7 +163,9 @@ class NameReader:
         """The label of a tail, unless what stands before it changes what it means."""
         if _TOY in before:
             return self._index.labels.get(_TOY)
-        if before[-1] in _NEGATIONS or " ".join([before[-1], *tail]) in _NO_SUCH_THING:
+        last = before[-1]
+        named = {f"{last} {' '.join(tail)}", f"{last} {label}"}  # the latter for a plural
+        if last in _NEGATIONS or not named.isdisjoint(_NO_SUCH_THING):
             return None
         return label
 

@@ -11,7 +11,7 @@ from roomtables.cli import main
 
 KEYS = [
     "room_id", "room", "probability", "probabilities", "objects", "unknown_objects", "rule",
-    "source", "answered_by",
+    "source", "answered_by", "read_as",
 ]  # fmt: skip
 
 

@@ -20,7 +20,8 @@ OBJECTS = (
 )  # fmt: skip
 NAMES = (
     {name: Name(name, LABEL) for name in OBJECTS}
-    | {f"{name}s": Name(name, PLURAL) for name in ("book", "chair", "drawer", "lamp", "shoe")}
+    | {f"{name}s": Name(name, PLURAL) for name in ("book", "chair", "dog", "drawer", "lamp")}
+    | {"shoes": Name("shoe", PLURAL)}
     | {"tv": Name("television", SYNONYM), "couch": Name("sofa", SYNONYM)}
     | {"dining chair": Name("chair", SYNONYM), "trash can": Name("garbage can", SYNONYM)}
 )
@@ -107,7 +108,21 @@ def test_lists_and_catch_alls_of_label_sets(name, label):
 
 
 @pytest.mark.parametrize(
-    "name", ["hot dog", "red hot dog", "chocolate bar", "no chair", "12", "#4", "a", "", " ", "_-_"]
+    "name",
+    [
+        "hot dog",
+        "red hot dog",
+        "HotDogs",
+        "chocolate bar",
+        "no chair",
+        "NonChair",
+        "12",
+        "#4",
+        "a",
+        "",
+        " ",
+        "_-_",
+    ],
 )
 def test_a_tail_that_means_something_else_is_not_read(name):
     assert reader().read(name) is None

@@ -6,7 +6,7 @@ Opening maps the published tables; the language model is loaded on the first mis
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -140,7 +140,7 @@ class RoomTables:
         if UNLISTED in ranks:
             ranks.discard(UNLISTED)
             unlisted = self._vocabulary.unlisted(names)
-        answer = self._answer(Question(sorted(ranks), unlisted, names))
+        answer = self._answer(sorted(ranks), unlisted, names)
         return answer.unless_unsure() if self.decision.min_probability else answer
 
     def classify_many(self, rooms: Iterable[Iterable[str]]) -> Predictions:
@@ -179,7 +179,7 @@ class RoomTables:
                 return answers[at]
             if at in backed_off:
                 return self._model_pass.back_off(question(at))
-            return self._answer(question(at))
+            return self._answer(*question(at))
 
         room_names = (*self._decider.candidates.names, None)  # ABSENT is the last
         labels = [room_names[place] for place in best.tolist()]
@@ -197,12 +197,14 @@ class RoomTables:
             return absent
         return absent[ranked.only(absent).most_informative(1)[:, 0] > 0]
 
-    def _answer(self, question: Question) -> Prediction:
-        ranks, unlisted, given = question
+    def _answer(
+        self, ranks: Sequence[int], unlisted: Mapping[str, str], given: tuple[str, ...]
+    ) -> Prediction:
+        """The answer for listed objects, by rank ascending, and names that no table lists."""
         ask = unlisted and self._model_pass.ranks_unlisted()
         compared = None if ask else self._decider.compare(ranks)
         if compared is None:
-            return self._model_pass.answer([question])[0]
+            return self._model_pass.answer([Question(ranks, unlisted, given)])[0]
         room = self._decider.best_room(compared)
         unknown = tuple(unlisted.values())
         return Prediction(self._decider, room, TABLE, ranks, given, unknown, compared)

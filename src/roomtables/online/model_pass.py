@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roomtables.labels import ObjectLabel
+from roomtables.names import as_spoken
 from roomtables.online import rules
 from roomtables.online.decider import Decider, UnlistedObject
 from roomtables.online.model import QueryModel
@@ -34,7 +35,7 @@ class Question(NamedTuple):
     Attributes
     ----------
     ranks : of its listed objects, ascending
-    unlisted : names that no table lists: as a sentence says them → as given
+    unlisted : names that no table lists: normalised → as given
     given : all the names
     """
 
@@ -73,7 +74,7 @@ class ModelPass:
     def answer(self, asked: Iterable[Question]) -> list[Prediction]:
         """Predictions in the order of the questions, in two passes of the model at most."""
         questions = list(asked)
-        names = [_askable(question.unlisted) for question in questions]
+        names = [_askable(question.unlisted.values()) for question in questions]
         if not (any(names) and self.ranks_unlisted()):
             names = [[] for _ in questions]
         ranked = self._rank({name for of_room in names for name in of_room})
@@ -113,7 +114,8 @@ class ModelPass:
         return ranked
 
     def _unanswered(self, question: Question, ranked: Mapping[str, UnlistedObject]) -> Prediction:
-        unknown = tuple(given for name, given in question.unlisted.items() if name not in ranked)
+        names = question.unlisted.values()
+        unknown = tuple(name for name in names if as_spoken(name) not in ranked)
         unlisted = tuple(ranked.values())
         return Prediction(
             self._decider, None, NONE, question.ranks, question.given, unknown, unlisted=unlisted
@@ -164,6 +166,6 @@ def _picks_listed(room: Prediction) -> bool:
 
 
 def _askable(unlisted: Iterable[str]) -> list[str]:
-    """The unlisted names of a room that the model is asked about."""
-    names = (name for name in unlisted if len(name) <= _LONGEST_NAME)
+    """The unlisted names of a room that the model is asked about, as a sentence says them."""
+    names = dict.fromkeys(as_spoken(name) for name in unlisted if len(name) <= _LONGEST_NAME)
     return [name for name in names if any(map(str.isalpha, name))][:_MOST_UNLISTED]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from roomtables.errors import InputError
-from roomtables.names import NameReader, as_spoken
+from roomtables.labels import normalise
+from roomtables.names import NameReader
 
 UNLISTED = 0
 # Spellings that are remembered, and the longest: no stream of names fills the memory.
@@ -41,11 +42,11 @@ class Vocabulary(dict[str, int]):
         return rank
 
     def unlisted(self, names: Iterable[str]) -> dict[str, str]:
-        """The names that no object bears, once each: as a sentence says them → as first given."""
+        """The names that no object bears, once each: normalised → as first given."""
         unlisted: dict[str, str] = {}
         for name in names:
-            if self[name] == UNLISTED and name.strip():
-                unlisted.setdefault(as_spoken(name), name)
+            if self[name] == UNLISTED and (spelled := normalise(name)):
+                unlisted.setdefault(spelled, name)
         return unlisted
 
 

@@ -211,10 +211,10 @@ class Prediction:
             "probabilities": probabilities,
             "objects": list(self.objects),
             "unknown_objects": list(self.unknown_objects),
-            "read_as": self.read_as,
             "rule": self.rule,
             "source": self.source,
             "answered_by": self.answered_by,
+            "read_as": self.read_as,
             **unsure,
         }
 
