@@ -24,10 +24,12 @@ ROBOT_TESTS := tests/robot tests/unit/scenes $(wildcard tests/unit/test_csv_rows
 .PHONY: demo test test-robot test-on-3.10 wheel test-slow lint household-lm clean
 
 demo: $(VENV)/.installed-lm
-	@echo "== build: p(room | object) for mpcat40, and the combinations that the example needs"
+	@echo "== build: p(room | object) for household, and the combinations that the example needs"
 	$(BIN)/roomtables build --tables $(DEMO) --combinations $(EXAMPLE)
 	@echo "== label the example scene, from the tables alone"
 	$(BIN)/roomtables classify --tables $(DEMO) --input $(EXAMPLE) --offline
+	@echo "== a robot's own names, and no model: the objects' own evidence decides"
+	$(BIN)/roomtables classify --tables $(DEMO) --offline Refrigerator_1 MicrowaveOven "gas stove"
 	@echo "== a combination that no table holds: one pass of the model"
 	$(BIN)/roomtables classify --tables $(DEMO) --rule query bathtub towel mirror
 	@echo "== what the tables know"

@@ -27,12 +27,12 @@ ALSO = Path(__file__).parent / "names" / "also.csv"
 ROOMS = (
     # homes
     "basement", "balcony", "bathroom", "bedroom", "children's room", "closet", "dining room",
-    "entryway", "game room", "garage", "hallway", "home theater", "kitchen", "laundry room",
-    "living room", "music room", "nursery", "pantry", "patio", "staircase", "storage room",
-    "utility room", "workshop",
+    "entryway", "game room", "garage", "hallway", "kitchen", "laundry room", "living room",
+    "music room", "nursery", "pantry", "patio", "staircase", "storage room", "utility room",
+    "workshop",
     # offices and schools
-    "auditorium", "break room", "cafeteria", "classroom", "conference room", "laboratory",
-    "library", "lobby", "office", "server room",
+    "auditorium", "cafeteria", "classroom", "conference room", "laboratory", "library", "lobby",
+    "office", "server room",
     # hospitals
     "examination room", "hospital room", "operating room", "waiting room",
     # other buildings where service robots work
@@ -44,6 +44,7 @@ ROOMS = (
 MERGED = {
     "art studio": ("workshop", "a workroom, for the arts"),
     "attic": ("storage room", "by its objects a storage room; only its place tells it"),
+    "break room": ("kitchen", "an office's kitchen; only its building tells it"),
     "cafe": ("restaurant", "one is often called by the other's name"),
     "computer lab": ("classroom", "a classroom with computers; by them alone it is an office"),
     "copy room": ("office", "a room of an office; its machines stand in offices as well"),
@@ -54,6 +55,7 @@ MERGED = {
     "family room": ("living room", "a synonym"),
     "guest room": ("bedroom", "a bedroom; who sleeps there is not seen"),
     "home office": ("office", "an office; only its building tells it"),
+    "home theater": ("living room", "a television room by another name"),
     "hotel lobby": ("lobby", "a lobby; only its building tells it"),
     "hotel room": ("bedroom", "by its objects a bedroom; only its building tells it"),
     "janitor's closet": ("storage room", "a storage room, for cleaning"),
