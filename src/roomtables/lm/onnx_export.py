@@ -44,7 +44,7 @@ from roomtables.onnx_lm.scorer import OnnxScorer
 from roomtables.scorer import TOLERANCE_NATS
 
 _OPSET = 18  # old enough for every runtime that the extra `robot` takes
-_LARGEST_FILE = 2_000_000_000  # bytes: a protocol buffer ends at 2 GiB
+LARGEST_FILE = 2_000_000_000  # bytes: a protocol buffer ends at 2 GiB
 _SMALL_TENSOR = 1024  # numbers, below which storing halves saves nothing
 _PROBES = 2
 _HALVES = {torch.float16: onnx.TensorProto.FLOAT16, torch.bfloat16: onnx.TensorProto.BFLOAT16}
@@ -96,10 +96,10 @@ def _refuse_large(network: nn.Module, model: str) -> None:
     size = sum(
         weights.numel() * (4 if _half(weights) is None else 2) for weights in network.parameters()
     )
-    if size > _LARGEST_FILE:
+    if size > LARGEST_FILE:
         raise ModelError(
             f"{model} is too large for an ONNX file ({size / 1e9:.1f} of at most "
-            f"{_LARGEST_FILE / 1e9:.0f} GB); use a smaller --model on the robot"
+            f"{LARGEST_FILE / 1e9:.0f} GB); use a smaller --model on the robot"
         )
 
 
