@@ -212,8 +212,10 @@ def show(
         answers = _answers(found, opened.classify_many(objects))
     if not found:
         raise InputError(f"{scene} holds no room to draw; give `--all`, or another scene")
-    draw(replace(read, rooms=found), answers, output)
-    click.echo(f"{output}: {len(found)} rooms drawn", err=True)
+    drawn = draw(replace(read, rooms=found), answers, output)
+    rest = len(found) - drawn
+    left_out = f"; {rest} without a place" if rest else ""
+    click.echo(f"{output}: {drawn} rooms drawn{left_out}", err=True)
 
 
 def _answers(rooms: list[SceneRoom], predictions: Sequence[Any]) -> dict[str, tuple[str, float]]:

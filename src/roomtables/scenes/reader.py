@@ -18,6 +18,7 @@ from roomtables.limits import JSON_BYTES, SCENE_BYTES, text_lines
 from roomtables.rooms import Room
 from roomtables.scenes.dsg import is_dsg, read_dsg
 from roomtables.scenes.dsg_graph import Graph, parse_graph
+from roomtables.scenes.foreign import refuse_foreign
 from roomtables.scenes.hm3d import is_hm3d, read_hm3d
 from roomtables.scenes.hovsg import is_hovsg, read_hovsg
 from roomtables.scenes.matterport import is_house, read_house
@@ -153,8 +154,9 @@ def read_graph(path: Path) -> Graph:
 
 
 def _open(path: Path) -> SceneFile:
-    """The file, unless it is JSON too large to be decoded."""
+    """The file, unless it is JSON too large to be decoded, or of a format known but not read."""
     file = SceneFile.open(path)
+    refuse_foreign(file)
     known = file.has_document_key
     is_document = file.is_json and not file.has_object_lines
     if is_document and file.size > (SCENE_BYTES if known else JSON_BYTES):
