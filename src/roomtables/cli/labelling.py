@@ -31,6 +31,7 @@ from roomtables.cli.common import (
     weights_option,
 )
 from roomtables.cli.names import NameReport
+from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables, classify_rooms
 from roomtables.online.prediction import Prediction
 from roomtables.online.serve import Labeller, Service
@@ -121,7 +122,7 @@ def _as_table(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:
 
     Why a room has no answer, and what names were read as, are columns where there is such a room.
     """
-    rows = [_row(record) for record in records]
+    rows = [_row(record, by_case=False) for record in records]
     for row in rows:
         row["reason"] = row.get("reason") or _why_unanswered(row)
     if any(row["reason"] for row in rows):
@@ -133,10 +134,12 @@ def _as_table(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:
     return text + "".join(_explanation(record) for record in records if "evidence" in record)
 
 
-def _row(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A record with cells of text for what is nested."""
+def _row(record: Mapping[str, Any], by_case: bool = True) -> dict[str, Any]:
+    """A record with cells of text; ``by_case``: tell of ``Chair = chair``, too."""
     top = [f"{room} {probability:.3f}" for room, probability in record["probabilities"].items()]
-    read_as = [f"{given} = {label}" for given, label in record["read_as"].items()]
+    pairs = record["read_as"].items()
+    told = [(given, label) for given, label in pairs if by_case or normalise(given) != label]
+    read_as = [f"{given} = {label}" for given, label in told]
     return {**record, "top": top, "read_as": read_as}
 
 
