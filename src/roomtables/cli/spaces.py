@@ -95,7 +95,7 @@ def show(space: str, format_: str, output: Path | None) -> None:
 @click.argument("yaml_file", metavar="YAML", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--rooms-of",
-    default="mpcat40",
+    default=DEFAULT_LABELS,
     show_default=True,
     metavar="NAME|DIR",
     help="The label space whose rooms to take; Hydra's file names none.",
@@ -115,7 +115,7 @@ def import_command(yaml_file: Path, rooms_of: str, output: Path) -> None:
       roomtables labels import ade20k_mp3d_label_space.yaml -o ade20k
     """
     found = read_hydra_labels(yaml_file)
-    rooms, known = load_labels(rooms_of).rooms, load_labels("nyuclass").objects
+    rooms, known = load_labels(rooms_of).rooms, load_labels(DEFAULT_LABELS).objects
     space = to_label_space(found, output.resolve().name, rooms, known)
     save_labels(space, output)
 

@@ -15,7 +15,7 @@ from roomtables.cli import main
 from scene_builders import House, box, graph, node
 from tiny_tables import build_tables
 
-LABELS = {1: "Bed", 2: "lamp", 3: "stove", 4: "fridge", 5: "wall"}
+LABELS = {1: "Bed", 2: "lamp", 3: "stove", 4: "fridge", 5: "gizmo"}
 
 
 def run(*arguments: object) -> Result:
@@ -66,13 +66,13 @@ def test_rooms_prints_room_lines_and_reports_loose_objects(scene: Path) -> None:
     result = run("rooms", scene)
     assert lines(result) == [
         {"room_id": "R0", "room": "bedroom", "objects": ["Bed", "lamp"]},
-        {"room_id": "R1", "room": "office", "objects": ["stove", "fridge", "wall"]},
+        {"room_id": "R1", "room": "office", "objects": ["stove", "fridge", "gizmo"]},
         {"room_id": "R2", "objects": []},
     ]
     warning, unknown = result.stderr.splitlines()
     assert warning == "warning: scene: 1 of 6 objects lies in no room: O5 (lamp)"
     assert unknown.startswith("unknown to label space ")
-    assert '"wall"' in unknown
+    assert '"gizmo"' in unknown
 
 
 def test_rooms_of_several_scenes_keep_ids_apart(scene: Path, house: Path) -> None:
@@ -229,9 +229,9 @@ def test_classify_takes_scenes(scene: Path, house: Path, tables: Path) -> None:
     options = ("--tables", tables, "--labels", "flat", "--offline", "--format", "jsonl")
     found = lines(run("classify", "--input", scene, *options))
     assert [room["room"] for room in found] == ["bedroom", "kitchen", None]
-    assert found[1]["unknown_objects"] == ["wall"]
+    assert found[1]["unknown_objects"] == ["gizmo"]
     told = run("classify", "--input", scene, *options).stderr.splitlines()
-    assert told[-2:] == ["read as: stove = oven", 'unknown to label space flat: "wall"']
+    assert told[-2:] == ["read as: stove = oven", 'unknown to label space flat: "gizmo"']
     assert [r["room"] for r in lines(run("classify", "--input", house, *options))] == ["bedroom"]
 
 
