@@ -245,7 +245,7 @@ def _truth(text: str, where: str) -> bool:
     try:
         return _TRUTH_WORDS[text.casefold()]
     except KeyError:
-        raise InputError(f"{where}: `predicted` must be true or false, not {text!r}") from None
+        raise InputError(f"{where}: `predicted` must be true or false, not {text[:40]!r}") from None
 
 
 def _csv_text(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
