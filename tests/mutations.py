@@ -45,7 +45,7 @@ def changed_value(value: Any, random: Random) -> Any:
     for _ in range(random.randint(1, 3)):
         places = list(_places(value))
         if not places:
-            return random.choice(WRONG)
+            return deepcopy(random.choice(WRONG))
         inside, key = random.choice(places)
         match random.randrange(8):
             case 0:
@@ -61,7 +61,7 @@ def changed_value(value: Any, random: Random) -> Any:
                 for _ in range(random.choice([3, 150])):
                     inside[key] = random.choice([[inside[key]], {"a": inside[key]}])
             case _:
-                inside[key] = random.choice(WRONG)
+                inside[key] = deepcopy(random.choice(WRONG))
     return value
 
 
