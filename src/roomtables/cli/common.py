@@ -14,14 +14,10 @@ from typing import Any, TypeVar
 
 import click
 
-from roomtables import __version__
 from roomtables.cli.progress import write_line
 from roomtables.config import DEFAULT_LABELS
 from roomtables.errors import RoomtablesError, needing
-from roomtables.online.classifier import RoomTables
-from roomtables.online.prediction import Prediction
 from roomtables.rooms import MEASURES
-from roomtables.scenes.dsg import NamedRoom
 from roomtables.schemas import RULES, SOURCES
 from roomtables.storage.files import write_aside
 
@@ -29,7 +25,6 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 FORMATS = ("table", "json", "jsonl", "csv")
 INTERRUPTED = 130
-_MOST_NAMES = 65_536  # answers whose names a Namer remembers
 
 
 class Group(click.Group):
@@ -211,47 +206,3 @@ class Warnings:
         if message not in self._said:
             self._said.add(message)
             write_line(f"warning: {message}")
-
-
-class Namer:
-    """Makes names of answers; an answer that was named before costs a dictionary lookup."""
-
-    def __init__(self, tables: RoomTables) -> None:
-        manifest = tables.version.manifest
-        self._shared = {
-            "model": manifest.query_scorer_id or manifest.scorer_id,
-            "labels": manifest.labels,
-            "version": tables.version.name,
-            "roomtables": __version__,
-        }
-        # By identity; each entry holds its answer, so that no other can take its id.
-        self._named: dict[int, tuple[Prediction, NamedRoom]] = {}
-
-    def __call__(self, answers: Mapping[str, Prediction]) -> dict[str, NamedRoom]:
-        """A name for each answered room, with what a reader of the graph needs to judge it."""
-        if len(self._named) > _MOST_NAMES:
-            self._named.clear()
-        return {key: self._known(answer) for key, answer in answers.items() if answer.room}
-
-    def _known(self, answer: Prediction) -> NamedRoom:
-        known = self._named.get(id(answer))
-        if known is None:
-            known = self._named[id(answer)] = answer, self._name(answer)
-        return known[1]
-
-    def _name(self, answer: Prediction) -> NamedRoom:
-        assert answer.room is not None
-        return NamedRoom(answer.room, answer.probabilities, _provenance(answer) | self._shared)
-
-
-def _provenance(answer: Prediction) -> dict[str, object]:
-    return {
-        "label": answer.room,
-        "probability": answer.probability,
-        "objects": list(answer.objects),
-        "rule": answer.rule,
-        "source": answer.source,
-        "answered_by": answer.answered_by,
-        "read_as": answer.read_as,
-        "unknown_objects": list(answer.unknown_objects),
-    }

@@ -12,7 +12,6 @@ from typing import Any
 import click
 
 from roomtables.cli.common import (
-    Namer,
     Warnings,
     as_json_line,
     decision_options,
@@ -27,6 +26,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.names import NameReport
+from roomtables.cli.naming import Namer, keep_names_option
 from roomtables.cli.progress import progress_bar
 from roomtables.config import BuildConfig, load_labels
 from roomtables.errors import InputError, StoreError
@@ -136,6 +136,7 @@ def _emit_frequencies(scenes: Iterable[Scene], format_: str, output: Path | None
 @tables_option
 @labels_option
 @labelspace_option
+@keep_names_option
 @decision_options
 def label(
     scene: Path,
@@ -143,9 +144,13 @@ def label(
     tables: Path,
     labels: str | None,
     labelspace: Path | None,
+    keep_names: bool,
     **decision: Any,
 ) -> None:
     """Name the rooms of a scene graph; nothing else in the graph changes.
+
+    A room without an answer gets back the name that its id stands for, if the one it bears is from
+    roomtables.
 
     \b
     Example:
@@ -161,13 +166,14 @@ def label(
         names.take(answer)
     by_room = {room.room_id: answer for room, answer in zip(found, answers, strict=True)}
     named = Namer(opened)(by_room)
-    label_rooms(graph, named, [room.label for room in opened.candidates])
+    candidates = [room.label for room in opened.candidates]
+    count = label_rooms(graph, named, candidates, keep_names=keep_names)
     if output.suffix == ".sparkdsg":
         write_sparkdsg(graph.document, output)
     else:
         write_aside(output, json.dumps(graph.document, separators=(",", ":")).encode())
     names.print()
-    click.echo(f"{output}: {len(named)} of {len(found)} rooms named", err=True)
+    click.echo(f"{output}: {count} of {len(found)} rooms named", err=True)
 
 
 @click.command()

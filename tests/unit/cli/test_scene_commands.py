@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from roomtables.cli import main
-from scene_builders import House, box, graph, node
+from scene_builders import House, box, graph, node, node_id
 from tiny_tables import build_tables
 
 LABELS = {1: "Bed", 2: "lamp", 3: "stove", 4: "fridge", 5: "gizmo"}
@@ -152,6 +152,25 @@ def test_label_names_rooms_and_says_how_many(scene: Path, tables: Path, tmp_path
     assert 'unknown to label space flat: "wall"\n' in result.stderr
     # What was labelled is not taken for the truth afterwards.
     assert all("room" not in room for room in lines(run("rooms", out)))
+
+
+def test_label_takes_its_own_names_back_and_keeps_those_of_others(
+    scene: Path, tables: Path, tmp_path: Path
+) -> None:
+    """The objects of R0 go, and a person names R1."""
+    options = ("--tables", tables, "--labels", "flat", "--offline")
+    labelled, again = tmp_path / "labelled.json", tmp_path / "again.json"
+    assert run("label", scene, "-o", labelled, *options).exit_code == 0
+    document = json.loads(labelled.read_text())
+    document["edges"] = [edge for edge in document["edges"] if edge["source"] != node_id("R0")]
+    document["nodes"][1]["attributes"]["name"] = "Mia's kitchen"
+    labelled.write_text(json.dumps(document))
+    for keep, second, count in (((), "kitchen", 1), (("--keep-names",), "Mia's kitchen", 0)):
+        result = run("label", labelled, "-o", again, *options, *keep)
+        assert f"{count} of 3 rooms named" in result.stderr
+        rooms = [value["attributes"] for value in json.loads(again.read_text())["nodes"][:3]]
+        assert [room["name"] for room in rooms] == ["R0", second, "R2"]
+        assert "roomtables" not in rooms[0]["metadata"]
 
 
 def test_label_leaves_the_original_alone_when_nothing_is_published(
