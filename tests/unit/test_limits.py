@@ -12,8 +12,14 @@ PACKAGE = Path(__file__).parents[2] / "src" / "roomtables"
 READERS = {"json": {"load", "loads", "JSONDecoder"}, "csv": {"reader", "DictReader"},
            "yaml": None, "tomllib": None, "tomli": None, "pickle": None,
            "marshal": None}  # fmt: skip
-# Who may: the limits' own home, CSV's, and the settings, whose TOML is the user's own file.
-ALLOWED = {"limits.py": {"json", "yaml"}, "csv_rows.py": {"csv"}, "config.py": {"tomllib", "tomli"}}
+# Who may: the limits' own home, CSV's, the settings, whose TOML is the user's own file, and the list
+# of inflected names, which the package brings.
+ALLOWED = {
+    "limits.py": {"json", "yaml"},
+    "csv_rows.py": {"csv"},
+    "config.py": {"tomllib", "tomli"},
+    "english.py": {"csv"},
+}
 
 
 def read_by_itself(tree):
