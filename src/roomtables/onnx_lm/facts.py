@@ -112,6 +112,8 @@ class OnnxFacts:
                 raise FactsError(f"its metadata are damaged (`{field.name}`)")
         if self.graph not in INPUTS or not self.scorer_ids:
             raise FactsError("its metadata are damaged (`graph`, `scorer_ids`)")
+        if min(self.row_nodes, self.vocabulary) < 1 or len(self.probe) != len(self.probe_nats):
+            raise FactsError("its metadata are damaged (`row_nodes`, `vocabulary`, `probe`)")
         if self.scoring_rule != SCORING_RULE_VERSION:
             raise FactsError(
                 f"it scores by rule {self.scoring_rule[:20]}, this roomtables by rule "
