@@ -69,10 +69,7 @@ def test_rooms_prints_room_lines_and_reports_loose_objects(scene: Path) -> None:
         {"room_id": "R1", "room": "office", "objects": ["stove", "fridge", "wall"]},
         {"room_id": "R2", "objects": []},
     ]
-    warning, unknown = result.stderr.splitlines()
-    assert warning == "warning: scene: 1 of 6 objects lies in no room: O5 (lamp)"
-    assert unknown.startswith("unknown to label space ")
-    assert '"wall"' in unknown
+    assert result.stderr == "warning: scene: 1 of 6 objects lies in no room: O5 (lamp)\n"
 
 
 def test_rooms_of_several_scenes_keep_ids_apart(scene: Path, house: Path) -> None:
