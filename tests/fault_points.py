@@ -1,0 +1,278 @@
+"""Ends or interrupts a command at each change that it makes to the disk, and checks what is left.
+
+A change is a system call: ``rename``, ``unlink``, ``rmdir``, ``mkdir``, ``link``, ``symlink``,
+``fsync``, ``fdatasync``, ``open`` for writing, ``write``, ``pwrite``, ``truncate``, ``fallocate``.
+``fault_points.c`` counts those under a folder, whichever library makes them, and sends the process
+a signal at the n-th. Each run is a fork of a process that has imported everything and started no
+thread, so that a point costs a fraction of a second. Linux with a C compiler.
+
+One point by hand: ``python tests/fault_points.py compact --signal SIGKILL --call 7``; all points of
+a command: without ``--call``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import multiprocessing
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from signal import Signals
+from typing import Any
+
+from fault_commands import COMMANDS, Command, Site, litter, same
+
+SOURCE = Path(__file__).with_name("fault_points.c")
+_IMPORTED_ONCE = ["fault_commands", "inflect", "pandas", "roomtables.cli", "roomtables.offline.plan"]
+WORKERS = 2
+INTERRUPTED = 130
+
+
+class NotHere(Exception):
+    """This machine cannot inject faults; the message says why."""
+
+
+def compiled(folder: Path) -> Path:
+    """The shared library that counts calls.
+
+    Raises
+    ------
+    NotHere
+        There is no C compiler, or the system is not one that the library knows.
+    """
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None or sys.platform != "linux":
+        raise NotHere("faults are injected on Linux, with a C compiler (cc, gcc or clang)")
+    library = folder / "fault_points.so"
+    command = [compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(SOURCE)]
+    made = subprocess.run(command, capture_output=True, text=True)
+    if made.returncode:
+        raise NotHere(f"fault_points.c cannot be compiled: {made.stderr[-300:]}")
+    return library
+
+
+@dataclass(frozen=True)
+class Point:
+    """A moment in a command: its n-th change (0: none), and the signal that comes then."""
+
+    call: int
+    signal: Signals
+
+    def __str__(self) -> str:
+        return f"{self.signal.name} at call {self.call}"
+
+
+@dataclass
+class Swept:
+    """What a sweep of one command found.
+
+    ``hit`` counts the points at which the signal came; ``failures`` says what was wrong, and where.
+    """
+
+    command: str
+    calls: int = 0
+    hit: int = 0
+    failures: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A folder in which commands are run, and the library that counts their calls."""
+
+    folder: Path
+    library: Path
+
+    @classmethod
+    @contextmanager
+    def open(cls) -> Iterator[Bench]:
+        """A bench in memory where there is such a folder: a disk would wait for each fsync.
+
+        Raises
+        ------
+        NotHere
+            As :func:`compiled`, or the system refuses the filter.
+        """
+        memory = Path("/dev/shm")
+        where = memory if memory.is_dir() and os.access(memory, os.W_OK) else None
+        with tempfile.TemporaryDirectory(prefix="fault-points-", dir=where) as folder:
+            bench = cls(Path(folder).resolve(), compiled(Path(folder)))
+            refused = bench.call(_arm, bench.library, bench.folder, Point(0, signal.SIGKILL), -1)
+            if refused:
+                raise NotHere(f"this system traps no calls: {os.strerror(refused)}")
+            yield bench
+
+    def call(self, target: Callable[..., Any], *args: Any) -> Any:
+        """What a function returns in a forked child; whatever it raises is raised here as text."""
+        path = Path(tempfile.mkdtemp(dir=self.folder)) / "answer"
+        code = _exit_code(_answer, (path, target, args))
+        assert code == 0, f"{target.__name__} ended with {code}"
+        raised, answer = pickle.loads(path.read_bytes())
+        shutil.rmtree(path.parent)
+        if raised:
+            raise AssertionError(answer)
+        return answer
+
+    def start(self, command: Command) -> Path:
+        """The files that a command starts from."""
+        site = Site(self.folder / command.name / "start")
+        if not site.root.is_dir():
+            site.make()
+            self.call(command.prepare, site)
+        return site.root
+
+    def undisturbed(self, command: Command) -> tuple[dict[str, Any], list[str]]:
+        """What is there after a run that nothing disturbs, and the calls that it makes."""
+        log = self.folder / command.name / "calls"
+        with self._copied(command, "undisturbed") as site:
+            code, said = self.run(site, command, Point(0, signal.SIGKILL), log)
+            assert (code, said) == (0, ""), f"{command.name} undisturbed: {code} {said}"
+            return self.call(Site.contents, site), log.read_text().splitlines()
+
+    @contextmanager
+    def _copied(self, command: Command, name: str) -> Iterator[Site]:
+        root = self.folder / command.name / name.replace(" ", "-")
+        shutil.copytree(self.start(command), root, symlinks=True)
+        try:
+            yield Site(root)
+        finally:
+            shutil.rmtree(root, ignore_errors=True)
+
+    def run(
+        self, site: Site, command: Command, point: Point, log: Path | None = None
+    ) -> tuple[int, str]:
+        """Run a command to a point; its exit code, and what it said on stderr."""
+        said = site.root.with_suffix(".said")
+        code = _exit_code(_run, (self.library, site, command.args(site), point, said, log))
+        try:
+            return code, said.read_text()
+        finally:
+            said.unlink()
+
+    def sweep(
+        self, command: Command, signals: Sequence[Signals], every: int = 1, first: int = 1
+    ) -> Swept:
+        """Disturb a command at every ``every``-th call from the ``first`` on, by each signal."""
+        expected, calls = self.undisturbed(command)
+        swept = Swept(command.name, len(calls))
+        points = [Point(c, s) for s in signals for c in range(first, len(calls) + 1, every)]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            for point, hit, wrong in pool.map(lambda p: self._try(command, p, expected), points):
+                swept.hit += hit
+                if wrong:
+                    called = calls[point.call - 1].replace(str(self.folder), "")
+                    swept.failures.append(f"{command.name}, {point} ({called}): {wrong}")
+        return swept
+
+    def _try(
+        self, command: Command, point: Point, expected: dict[str, Any]
+    ) -> tuple[Point, bool, str]:
+        """Disturb a run at a point: whether the signal came, and what was wrong afterwards."""
+        with self._copied(command, str(point)) as site:
+            code, said = self.run(site, command, point)
+            killed = point.signal == signal.SIGKILL
+            hit = code != 0
+            wrong = ""
+            if hit and code != (-signal.SIGKILL if killed else INTERRUPTED):
+                wrong = f"exit code {code}: {said}"
+            elif hit and not killed and said.count("\n") != 1:
+                wrong = f"said {said!r}"
+            elif not hit and not killed:
+                wrong = "the signal was lost"
+            try:
+                self.call(_afterwards, site, command, expected)
+            except AssertionError as error:
+                wrong += f" {error}"
+            return point, hit, wrong
+
+
+def _exit_code(target: Callable[..., Any], args: Sequence[Any]) -> int:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(_IMPORTED_ONCE)
+    process = context.Process(target=target, args=args)
+    process.start()
+    process.join()
+    assert process.exitcode is not None
+    return process.exitcode
+
+
+def _answer(path: Path, target: Callable[..., Any], args: Sequence[Any]) -> None:
+    """In a child: call, and leave the answer in a file."""
+    try:
+        answer = (False, target(*args))
+    except BaseException:
+        answer = (True, traceback.format_exc())
+    path.write_bytes(pickle.dumps(answer))
+
+
+def _arm(library: Path, root: Path, point: Point, log: int) -> int:
+    arm = ctypes.CDLL(str(library)).arm
+    return int(arm(os.fsencode(root), ctypes.c_long(point.call), int(point.signal), log))
+
+
+def _run(
+    library: Path, site: Site, args: Sequence[str], point: Point, said: Path, log: Path | None
+) -> None:
+    """In a child: one command, as from a shell, with the signals of a foreground job."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _redirect(said, 2)
+    _redirect(Path(os.devnull), 1)
+    calls = os.open(log, os.O_CREAT | os.O_WRONLY | os.O_TRUNC) if log else -1
+    with site.entered() as main:
+        refused = _arm(library, site.root, point, calls)
+        assert not refused, os.strerror(refused)
+        main(args)
+
+
+def _redirect(path: Path, descriptor: int) -> None:
+    handle = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
+    os.dup2(handle, descriptor)
+    os.close(handle)
+
+
+def _afterwards(site: Site, command: Command, expected: dict[str, Any]) -> None:
+    """In a child: a reader answers; the command runs again and makes the same; `gc` leaves none."""
+    site.read(command.published)
+    if not (command.done and command.done(site)):
+        site.run(command.args(site))
+    differing = same(expected, site.contents())
+    assert not differing, f"after the next {command.name}: {differing}"
+    site.run(["gc", "--tables", str(site.tables)])
+    left = litter(site)
+    assert not left, f"left after gc: {left}"
+    site.read(True)
+    differing = same(expected, site.contents())
+    assert not differing, f"after gc: {differing}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("commands", nargs="*", help=", ".join(COMMANDS))
+    parser.add_argument("--signal", action="append", choices=["SIGKILL", "SIGTERM", "SIGINT"])
+    parser.add_argument("--call", type=int, default=0, help="this one only")
+    parser.add_argument("--list", action="store_true", help="the calls, undisturbed")
+    options = parser.parse_args()
+    signals = [Signals[name] for name in options.signal or ["SIGKILL"]]
+    with Bench.open() as bench:
+        for name in options.commands or COMMANDS:
+            if options.list:
+                print(*bench.undisturbed(COMMANDS[name])[1], sep="\n")
+                continue
+            only = {"first": options.call, "every": sys.maxsize} if options.call else {}
+            swept = bench.sweep(COMMANDS[name], signals, **only)
+            print(f"{name}: {swept.calls} calls, {swept.hit} points hit", *swept.failures, sep="\n")
+
+
+if __name__ == "__main__":
+    main()
