@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import shutil
 import tempfile
@@ -26,6 +25,7 @@ from roomtables import RoomTables, build
 from roomtables.cli import main as command_line
 from roomtables.labels import LabelSpace
 from roomtables.offline import scoring
+from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import MANIFEST, SpaceFolder
 from support import HashScorer, write_space
@@ -66,8 +66,8 @@ class Site:
     @contextmanager
     def entered(self) -> Iterator[Callable[[Sequence[str]], Any]]:
         """The command line, as it runs here, with a model made up of hashes."""
-        os.environ["TMPDIR"] = str(self.root / "tmp")
-        tempfile.tempdir = None
+        # Else Python tries the folder first, by a file of its own.
+        tempfile.tempdir = str(self.root / "tmp")
         scoring.PART_SENTENCES = 20  # so that a build writes several parts
         roomtables.lm.identify = lambda *args, **settings: "hash@1"
         roomtables.lm.load_scorer = lambda *args, **settings: HashScorer()
@@ -90,14 +90,15 @@ class Site:
         """Open and classify, as a reader does; where nothing is published there is none."""
         if published:
             opened = RoomTables.open(self.tables, SPACE.name, offline=True, note_misses=False)
-            for rule in ("query", "pooled"):
-                assert opened.deciding(rule=rule).classify(["bed"]).room
+            assert opened.deciding(rule="pooled").classify(["bed"]).room
+            opened.deciding(rule="query").classify(["bed"])
 
     def contents(self) -> dict[str, Any]:
         """All rows of the published tables, the scores and the archive, by name."""
         version = self.space().current()
         version.verify()
-        found: dict[str, Any] = {
+        found: dict[str, Any] = {"misses": Misses.read(version.path.parent / FOLDER).open}
+        found |= {
             path.name: sorted(map(repr_row, pq.read_table(path, use_threads=False).to_pylist()))
             for path in version.path.glob("*.parquet")
         }
@@ -132,7 +133,9 @@ def same(expected: Any, found: Any, where: str = "") -> str:
         close = math.isclose(expected, found, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
         return "" if close else f"{where}: {expected} is now {found}"
     else:
-        return "" if expected == found else f"{where}: {str(expected)[:80]} is now {str(found)[:80]}"
+        return (
+            "" if expected == found else f"{where}: {str(expected)[:80]} is now {str(found)[:80]}"
+        )
     return next((text for text in differing if text), "")
 
 
@@ -143,8 +146,9 @@ def litter(site: Site) -> list[str]:
         noted = json.loads((path / MANIFEST).read_text())["files"]
         versions |= {path / name for name in [MANIFEST, *noted]}
     folders = {parent for path in versions for parent in path.parents}
-    folders |= {site.root / name for name in ("labels", "labels/home", "out", "tmp", "tables/scores")}
-    folders |= {site.tables / "home" / "misses", *(site.tables / "scores").glob("[!.]*")}
+    folders |= {site.root / name for name in ("labels", "labels/home", "out", "tmp")}
+    scores = site.tables / "scores"
+    folders |= {site.space().path / FOLDER, scores, *scores.glob("[!.]*")}
     return sorted(
         name
         for path in site.root.rglob("*")
@@ -189,7 +193,7 @@ def _versions(site: Site) -> None:
 
 def _misses(site: Site) -> None:
     site.build(k=3, combinations="none")
-    folder = site.space().path / "misses"
+    folder = site.space().path / FOLDER
     folder.mkdir()
     line = {"source": "proxy", "objects": MISSED, "asked": "2026-01-01T00:00:00+00:00"}
     (folder / "robot.jsonl").write_text(json.dumps(line) + "\n")
@@ -221,7 +225,9 @@ COMMANDS: Mapping[str, Command] = {
         Command("misses", f"{_BUILD} --combinations misses", _misses),
         Command("compact", "compact --tables {tables}", _versions),
         Command("gc", "gc --tables {tables} --keep 1 --unused-scores", _garbage),
-        Command("rollback", "rollback --tables {tables} --labels home", _versions, done=_rolled_back),
+        Command(
+            "rollback", "rollback --tables {tables} --labels home", _versions, done=_rolled_back
+        ),
         Command("export", "export --tables {tables} --labels home -o {archive}", _versions),
         Command("plan", "plan --tables {tables} --labels {labels} -k 3", _versions),
     )

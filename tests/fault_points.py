@@ -6,8 +6,7 @@ A change is a system call: ``rename``, ``unlink``, ``rmdir``, ``mkdir``, ``link`
 a signal at the n-th. Each run is a fork of a process that has imported everything and started no
 thread, so that a point costs a fraction of a second. Linux with a C compiler.
 
-One point by hand: ``python tests/fault_points.py compact --signal SIGKILL --call 7``; all points of
-a command: without ``--call``.
+By hand: ``python tests/fault_points.py compact --signal SIGTERM``.
 """
 
 from __future__ import annotations
@@ -27,19 +26,28 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import groupby
+from multiprocessing.connection import wait
 from pathlib import Path
 from signal import Signals
+from threading import Lock
 from typing import Any
 
 from fault_commands import COMMANDS, Command, Site, litter, same
 
 SOURCE = Path(__file__).with_name("fault_points.c")
-_IMPORTED_ONCE = ["fault_commands", "inflect", "pandas", "roomtables.cli", "roomtables.offline.plan"]
+_IMPORTED_ONCE = [
+    "fault_commands",
+    "inflect",
+    "pandas",
+    "roomtables.cli",
+    "roomtables.offline.plan",
+]
 WORKERS = 2
 INTERRUPTED = 130
 
 
-class NotHere(Exception):
+class UnavailableError(Exception):
     """This machine cannot inject faults; the message says why."""
 
 
@@ -48,17 +56,17 @@ def compiled(folder: Path) -> Path:
 
     Raises
     ------
-    NotHere
+    UnavailableError
         There is no C compiler, or the system is not one that the library knows.
     """
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None or sys.platform != "linux":
-        raise NotHere("faults are injected on Linux, with a C compiler (cc, gcc or clang)")
+        raise UnavailableError("faults are injected on Linux, with a C compiler (cc, gcc or clang)")
     library = folder / "fault_points.so"
     command = [compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(SOURCE)]
     made = subprocess.run(command, capture_output=True, text=True)
     if made.returncode:
-        raise NotHere(f"fault_points.c cannot be compiled: {made.stderr[-300:]}")
+        raise UnavailableError(f"fault_points.c cannot be compiled: {made.stderr[-300:]}")
     return library
 
 
@@ -77,13 +85,42 @@ class Point:
 class Swept:
     """What a sweep of one command found.
 
-    ``hit`` counts the points at which the signal came; ``failures`` says what was wrong, and where.
+    ``points`` of its ``calls`` were tried, once for each signal, and at ``hit`` of them the signal
+    came; ``failures`` says what was wrong, and where.
     """
 
     command: str
-    calls: int = 0
+    calls: int
+    points: int
     hit: int = 0
     failures: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        hit = f"{self.hit} of {self.points} points hit"
+        return f"{self.command}: {self.calls} calls, {hit}, {len(self.failures)} failures"
+
+
+def worth_trying(calls: Sequence[str]) -> list[int]:
+    """Numbers of the calls to disturb: all, but of more than eight in a row that write or flush one
+    file the first four, the last four, and every fourth between (DuckDB's log of the workspace)."""
+    runs = [
+        list(run) for _, run in groupby(range(len(calls)), lambda at: _written(calls[at]) or at)
+    ]
+    kept = ([*run[:4], *run[4:-4:4], *run[-4:]] if len(run) > 8 else run for run in runs)
+    return [at + 1 for run in kept for at in run]
+
+
+def _written(call: str) -> str:
+    """The file that a call writes or flushes; empty for other calls."""
+    name, path = call.split(" ", 1)
+    return path if "write" in name or "sync" in name else ""
+
+
+def spread(numbers: Sequence[int], most: int | None, phase: float) -> list[int]:
+    """At most so many of some numbers, evenly; ``phase`` from 0 to 1 shifts which."""
+    if most is None or most >= len(numbers):
+        return list(numbers)
+    return [numbers[int((n + phase) * len(numbers) / most)] for n in range(most)]
 
 
 @dataclass(frozen=True)
@@ -100,7 +137,7 @@ class Bench:
 
         Raises
         ------
-        NotHere
+        UnavailableError
             As :func:`compiled`, or the system refuses the filter.
         """
         memory = Path("/dev/shm")
@@ -109,7 +146,7 @@ class Bench:
             bench = cls(Path(folder).resolve(), compiled(Path(folder)))
             refused = bench.call(_arm, bench.library, bench.folder, Point(0, signal.SIGKILL), -1)
             if refused:
-                raise NotHere(f"this system traps no calls: {os.strerror(refused)}")
+                raise UnavailableError(f"this system traps no calls: {os.strerror(refused)}")
             yield bench
 
     def call(self, target: Callable[..., Any], *args: Any) -> Any:
@@ -125,7 +162,7 @@ class Bench:
 
     def start(self, command: Command) -> Path:
         """The files that a command starts from."""
-        site = Site(self.folder / command.name / "start")
+        site = Site(self.folder / "starts" / command.prepare.__name__)
         if not site.root.is_dir():
             site.make()
             self.call(command.prepare, site)
@@ -159,13 +196,16 @@ class Bench:
         finally:
             said.unlink()
 
-    def sweep(
-        self, command: Command, signals: Sequence[Signals], every: int = 1, first: int = 1
-    ) -> Swept:
-        """Disturb a command at every ``every``-th call from the ``first`` on, by each signal."""
+    def sweep(self, command: Command, signals: Sequence[Signals], most: int | None = None) -> Swept:
+        """Disturb a command at every call, or at ``most`` for each signal, spread evenly."""
         expected, calls = self.undisturbed(command)
-        swept = Swept(command.name, len(calls))
-        points = [Point(c, s) for s in signals for c in range(first, len(calls) + 1, every)]
+        chosen = worth_trying(calls)
+        points = [
+            Point(number, sent)
+            for place, sent in enumerate(signals)
+            for number in spread(chosen, most, (place + 1) / (len(signals) + 1))
+        ]
+        swept = Swept(command.name, len(calls), len(points))
         with ThreadPoolExecutor(WORKERS) as pool:
             for point, hit, wrong in pool.map(lambda p: self._try(command, p, expected), points):
                 swept.hit += hit
@@ -183,6 +223,7 @@ class Bench:
             killed = point.signal == signal.SIGKILL
             hit = code != 0
             wrong = ""
+            said = said[-600:]
             if hit and code != (-signal.SIGKILL if killed else INTERRUPTED):
                 wrong = f"exit code {code}: {said}"
             elif hit and not killed and said.count("\n") != 1:
@@ -192,22 +233,30 @@ class Bench:
             try:
                 self.call(_afterwards, site, command, expected)
             except AssertionError as error:
-                wrong += f" {error}"
+                wrong += f" {str(error)[-600:]}"
             return point, hit, wrong
+
+
+# A start asks how all children fare, and so does a join: of two at once one learns nothing.
+_STARTING = Lock()
 
 
 def _exit_code(target: Callable[..., Any], args: Sequence[Any]) -> int:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_IMPORTED_ONCE)
     process = context.Process(target=target, args=args)
-    process.start()
-    process.join()
+    with _STARTING:
+        process.start()
+    wait([process.sentinel])
+    with _STARTING:
+        process.join()
     assert process.exitcode is not None
     return process.exitcode
 
 
 def _answer(path: Path, target: Callable[..., Any], args: Sequence[Any]) -> None:
     """In a child: call, and leave the answer in a file."""
+    _redirect(Path(os.devnull), 1)
     try:
         answer = (False, target(*args))
     except BaseException:
@@ -260,7 +309,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("commands", nargs="*", help=", ".join(COMMANDS))
     parser.add_argument("--signal", action="append", choices=["SIGKILL", "SIGTERM", "SIGINT"])
-    parser.add_argument("--call", type=int, default=0, help="this one only")
+    parser.add_argument("--most", type=int, help="calls to try, spread evenly")
     parser.add_argument("--list", action="store_true", help="the calls, undisturbed")
     options = parser.parse_args()
     signals = [Signals[name] for name in options.signal or ["SIGKILL"]]
@@ -269,9 +318,11 @@ def main() -> None:
             if options.list:
                 print(*bench.undisturbed(COMMANDS[name])[1], sep="\n")
                 continue
-            only = {"first": options.call, "every": sys.maxsize} if options.call else {}
-            swept = bench.sweep(COMMANDS[name], signals, **only)
-            print(f"{name}: {swept.calls} calls, {swept.hit} points hit", *swept.failures, sep="\n")
+            swept = bench.sweep(COMMANDS[name], signals, options.most)
+            print(
+                f"{name}: {swept.calls} calls, {swept.hit} of {swept.points} points hit, ", end=""
+            )
+            print(f"{len(swept.failures)} failures", *swept.failures[:5], sep="\n", flush=True)
 
 
 if __name__ == "__main__":

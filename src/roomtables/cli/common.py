@@ -16,6 +16,7 @@ import click
 from tqdm import tqdm
 
 from roomtables import __version__
+from roomtables.cli.interrupts import end_interrupted, interruptible, noticing_interrupts
 from roomtables.errors import RoomtablesError
 from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables
@@ -28,19 +29,26 @@ from roomtables.storage.files import write_aside
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 FORMATS = ("table", "json", "jsonl", "csv")
-INTERRUPTED = 130
 _MOST_NAMES = 65_536  # answers whose names a Namer remembers
 _MOST_SHOWN = 12  # synonyms that are told of
 
 
 class Group(click.Group):
-    """A group of commands whose errors are one line on stderr and exit code 1."""
+    """A group of commands whose errors are one line on stderr and exit code 1.
+
+    Interrupted, by SIGINT or SIGTERM, they exit with code 130.
+    """
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        with interruptible():
+            return super().main(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
         logging.addLevelName(logging.WARNING, "warning")
         try:
-            return super().invoke(ctx)
+            with noticing_interrupts():
+                return super().invoke(ctx)
         except RoomtablesError as error:
             click.echo(f"error: {' '.join(str(error).split())}", err=True)
             ctx.exit(1)
@@ -49,8 +57,7 @@ class Group(click.Group):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(1)
         except KeyboardInterrupt:
-            click.echo("interrupted; what is scored is kept", err=True)
-            ctx.exit(INTERRUPTED)
+            end_interrupted(ctx)
 
 
 tables_option = click.option(

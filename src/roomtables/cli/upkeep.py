@@ -21,7 +21,8 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import StoreError
-from roomtables.storage.versions import KEPT_VERSIONS, SpaceFolder, Version
+from roomtables.storage.removal import KEPT_VERSIONS
+from roomtables.storage.versions import SpaceFolder, Version
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 _CLOCK_SKEW = timedelta(minutes=5)

@@ -1,7 +1,8 @@
 """Pack what a robot needs of a published version into one archive: lookup files and manifest.
 
 The archive holds ``tables/<label space>/``, with ``CURRENT`` last; unpacked, it opens like the
-tables it came from, read-only file systems included.
+tables it came from, read-only file systems included. The version's folder is named after what it
+holds, too: an archive that is unpacked over another leaves what that one holds as it is.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import gzip
 import io
 import os
 import tarfile
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from roomtables.errors import InputError, StoreError
+from roomtables.storage.aside import replacing
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.versions import CURRENT, LOOKUP, MANIFEST, Pointer, SpaceFolder, Version
 
@@ -53,11 +54,8 @@ def export(tables: Path, labels: str, output: Path) -> tuple[ExportedSource, ...
     version = SpaceFolder(tables, labels).current()
     lookup = Lookup.open(version.path / LOOKUP, version.manifest, verify=True)
     try:
-        with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}.") as folder:
-            aside = Path(folder) / "archive"
-            with _compressed(aside, output.name) as stream:
-                _pack(stream, version)
-            os.replace(aside, output)
+        with replacing(output) as aside, _compressed(aside, output.name) as stream:
+            _pack(stream, version)
     except OSError as error:
         raise StoreError(
             f"cannot write {output}: {error.strerror or error}; give another path with -o"
@@ -75,11 +73,13 @@ def _bytes(version: Version, source: str) -> int:
 
 def _pack(stream: IO[bytes], version: Version) -> None:
     space = f"{ROOT}/{version.manifest.labels}"
-    inside = f"{space}/{version.name}"
     noted = version.manifest.files
     packed = {name: noted[name] for name in sorted(noted) if name.startswith(f"{LOOKUP}/")}
     manifest = replace(version.manifest, files=packed).to_bytes()
-    pointer = Pointer(version.name, sha256(manifest).hexdigest())
+    digest = sha256(manifest).hexdigest()
+    # Two builds may bear one name and hold other files: unpacked, neither may write into the other.
+    pointer = Pointer(f"{version.name}-{digest[:8]}", digest)
+    inside = f"{space}/{pointer.name}"
     with tarfile.open(fileobj=stream, mode="w|") as archive:
         for name in packed:
             with (version.path / name).open("rb") as file:

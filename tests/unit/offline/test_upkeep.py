@@ -67,13 +67,17 @@ def test_gc_keeps_what_a_reader_holds(tables, labels):
 def test_gc_removes_what_killed_builds_left(tables, labels):
     space = make(tables, labels, 1)
     (space.path / ".staging-1").mkdir()
-    (space.path / "000009-half").mkdir()
+    (space.path / ".removing-000009-0123abcd").mkdir()
+    for aside in (".CURRENT.77.tmp", ".CURRENT.0123abcd.tmp"):
+        (space.path / aside).write_text("half")
     (tables / "scores" / "hash@1" / ".77.tmp").write_bytes(b"x")
     run = SentenceCache(tables, "hash@1").run_folder()
     run.append(["a finished piece"], [SentenceScore(-1.0, 3)])
     (run.folder / "shard-000001.parquet").write_bytes(b"half")
     removed = {row.path for row in collect_garbage(tables)}
-    assert {"small/.staging-1", "small/000009-half"} <= removed
+    half = {".staging-1", ".removing-000009-0123abcd", ".CURRENT.77.tmp", ".CURRENT.0123abcd.tmp"}
+    assert {f"small/{name}" for name in half} <= removed
+    assert {path.name for path in space.path.iterdir()} == {"CURRENT", space.current().name}
     left = [path.name for path in (tables / "scores" / "hash@1").iterdir()]
     assert all(name.startswith("part-") for name in left)
     assert "a finished piece" in {row[1] for row in rows_of(SentenceCache(tables, "hash@1"))}
