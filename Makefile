@@ -1,5 +1,6 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`. `make test` runs all
-# tests but those marked slow, of which it runs a small version; `make test-slow` runs those whole.
+# tests but those marked slow or faults, of which it runs a small version; `make test-slow` and
+# `make test-faults` run those whole.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -8,8 +9,10 @@ EXAMPLE := src/roomtables/examples/house.jsonl
 DEMO   := $(VENV)/demo-tables
 # Which slow tests `make test-slow` runs: all, or the files and options given.
 SLOW   ?=
+# The same for `make test-faults`.
+FAULTS ?=
 
-.PHONY: demo test test-slow lint household-lm clean
+.PHONY: demo test test-slow test-faults lint household-lm clean
 
 demo: $(VENV)/.installed-lm
 	@echo "== build: p(room | object) for mpcat40, and the combinations that the example needs"
@@ -24,10 +27,13 @@ demo: $(VENV)/.installed-lm
 
 # Where no test is collected, pytest exits with 5, and so make fails.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow and not faults"
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow --durations=0 $(SLOW)
+
+test-faults: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m faults --durations=0 $(FAULTS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

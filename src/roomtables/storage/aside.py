@@ -49,7 +49,7 @@ def _written_through(path: Path) -> bool:
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             return True
-    except OSError:
+    except FileNotFoundError:
         return False
     while path.is_symlink():
         if Path(os.path.realpath(path.parent)).is_relative_to("/proc"):

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roomtables.errors import StoreError
+from roomtables.storage.aside import sync_folder
 from roomtables.storage.files import refuse_outside, writing
 
 SCORES = "scores"
@@ -161,4 +162,5 @@ def settle(aside: Path) -> Path:
         os.fsync(file.fileno())
     path = aside.with_name(part_name(digest))
     os.replace(aside, path)
+    sync_folder(path.parent)
     return path

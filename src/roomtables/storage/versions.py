@@ -214,6 +214,7 @@ class SpaceFolder:
             sync_files(staging)
             os.replace(staging, target)
             sync_folder(self.path)
+            sync_folder(self.path.parent)
         return self.point_at(target)
 
     def point_at(self, version: Path) -> Version:
