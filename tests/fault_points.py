@@ -129,6 +129,7 @@ class Bench:
 
     folder: Path
     library: Path
+    _undisturbed: dict[str, tuple[dict[str, Any], list[str]]] = field(default_factory=dict)
 
     @classmethod
     @contextmanager
@@ -170,11 +171,14 @@ class Bench:
 
     def undisturbed(self, command: Command) -> tuple[dict[str, Any], list[str]]:
         """What is there after a run that nothing disturbs, and the calls that it makes."""
-        log = self.folder / command.name / "calls"
-        with self._copied(command, "undisturbed") as site:
-            code, said = self.run(site, command, Point(0, signal.SIGKILL), log)
-            assert (code, said) == (0, ""), f"{command.name} undisturbed: {code} {said}"
-            return self.call(Site.contents, site), log.read_text().splitlines()
+        if command.name not in self._undisturbed:
+            log = self.folder / f"{command.name}.calls"
+            with self._copied(command, "undisturbed") as site:
+                code, said = self.run(site, command, Point(0, signal.SIGKILL), log)
+                assert (code, said) == (0, ""), f"{command.name} undisturbed: {code} {said}"
+                found = self.call(Site.contents, site), log.read_text().splitlines()
+            self._undisturbed[command.name] = found
+        return self._undisturbed[command.name]
 
     @contextmanager
     def _copied(self, command: Command, name: str) -> Iterator[Site]:
