@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`. `make test` runs all
 # tests but those marked slow or faults, of which it runs a small version; `make test-slow` and
-# `make test-faults` run those whole.
+# `make test-faults` run those whole. `make test` ends with `make test-robot`: what a robot runs, on
+# the oldest Python that it may have.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -12,13 +13,26 @@ SLOW   ?=
 # The same for `make test-faults`.
 FAULTS ?=
 
-.PHONY: demo test test-slow test-faults lint household-lm clean
+# A Python 3.10, as Ubuntu 22.04 and ROS 2 Humble have it: the first that answers, pyenv's too.
+IS_3_10 := import sys; sys.exit(sys.version_info[:2] != (3, 10))
+PYTHON_3_10 = $(shell for python in python3.10 $(HOME)/.pyenv/versions/3.10*/bin/python; do \
+  if $$python -c '$(IS_3_10)' 2>/dev/null; then echo $$python; break; fi; done)
+ROBOT   := $(VENV)/py310
+# Tests that need neither duckdb nor pyarrow nor torch.
+ROBOT_TESTS := tests/robot tests/unit/scenes $(wildcard tests/unit/test_csv_rows.py \
+  tests/unit/test_english.py tests/unit/test_labels.py tests/unit/test_limits.py \
+  tests/unit/test_names.py tests/unit/test_rooms.py tests/unit/test_sentences.py \
+  tests/unit/storage/test_misses.py)
+
+.PHONY: demo test test-robot test-on-3.10 wheel test-slow test-faults lint household-lm clean
 
 demo: $(VENV)/.installed-lm
-	@echo "== build: p(room | object) for mpcat40, and the combinations that the example needs"
+	@echo "== build: p(room | object) for household, and the combinations that the example needs"
 	$(BIN)/roomtables build --tables $(DEMO) --combinations $(EXAMPLE)
 	@echo "== label the example scene, from the tables alone"
 	$(BIN)/roomtables classify --tables $(DEMO) --input $(EXAMPLE) --offline
+	@echo "== a robot's own names, and no model: the objects' own evidence decides"
+	$(BIN)/roomtables classify --tables $(DEMO) --offline Refrigerator_1 MicrowaveOven "gas stove"
 	@echo "== a combination that no table holds: one pass of the model"
 	$(BIN)/roomtables classify --tables $(DEMO) --rule query bathtub towel mirror
 	@echo "== what the tables know"
@@ -28,6 +42,27 @@ demo: $(VENV)/.installed-lm
 # Where no test is collected, pytest exits with 5, and so make fails.
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "not slow and not faults"
+	$(MAKE) --no-print-directory test-robot
+
+# From the wheel, with what a robot installs, and without constraints.txt: 3.10 has other releases.
+test-robot:
+	@if [ -n "$(PYTHON_3_10)" ]; then $(MAKE) --no-print-directory test-on-3.10; else \
+	  echo "no Python 3.10 on this machine: the robot's tests on it are skipped"; fi
+
+test-on-3.10: wheel $(ROBOT)/.installed
+	$(ROBOT)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --no-deps --force-reinstall $(VENV)/wheel/*.whl
+	env -u PYTHONPATH $(ROBOT)/bin/python -m pytest -m "not slow" $(ROBOT_TESTS)
+
+$(ROBOT)/.installed: pyproject.toml | wheel
+	$(PYTHON_3_10) -m venv --clear $(ROBOT)
+	$(ROBOT)/bin/python -m pip install --quiet --disable-pip-version-check \
+	  "$$(echo $(VENV)/wheel/*.whl)[robot]" hypothesis pytest
+	touch $@
+
+wheel: $(VENV)/.installed-dev
+	rm -rf $(VENV)/wheel
+	$(BIN)/python -m hatchling build --target wheel --directory $(VENV)/wheel
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow --durations=0 $(SLOW)

@@ -24,7 +24,7 @@ import roomtables.lm
 from roomtables import RoomTables, build
 from roomtables.cli import main as command_line
 from roomtables.labels import LabelSpace
-from roomtables.offline import scoring
+from roomtables.offline import builder, plan, scoring, upkeep  # noqa: F401  (once, before the forks)
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import MANIFEST, SpaceFolder

@@ -36,13 +36,7 @@ from typing import Any
 from fault_commands import COMMANDS, Command, Site, litter, same
 
 SOURCE = Path(__file__).with_name("fault_points.c")
-_IMPORTED_ONCE = [
-    "fault_commands",
-    "inflect",
-    "pandas",
-    "roomtables.cli",
-    "roomtables.offline.plan",
-]
+_IMPORTED_ONCE = ["fault_commands", "inflect", "pandas", "roomtables.storage.export"]
 WORKERS = 2
 INTERRUPTED = 130
 

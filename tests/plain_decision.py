@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel, normalise
+from roomtables.names import NameReader, as_spoken
 from roomtables.sentences import Template
 
 Score = Callable[[str], float]
@@ -22,6 +23,8 @@ class Answer:
     objects: list[str]
     unknown: list[str]
     answered_by: str
+    rule: str
+    read_as: dict[str, str]
 
 
 @dataclass
@@ -30,7 +33,7 @@ class PlainDecision:
 
     ``smoothing`` is added to every count (``None``: 1 / number of rooms); ``combinations`` are
     those in the tables (``None``: all). ``rooms`` are the candidates; of those that the
-    label space does not list, ``score`` is asked.
+    label space does not list, ``score`` is asked. Names are read as ``NameReader`` says.
     """
 
     space: LabelSpace
@@ -43,6 +46,7 @@ class PlainDecision:
     rooms: Sequence[str] = ()
     combinations: set[frozenset[str]] | None = None
     model: bool = False
+    backoff: bool = True
     k: int = 3
     smoothing: float | None = None
     _unlisted: dict[str, ObjectLabel] = field(default_factory=dict)
@@ -52,23 +56,33 @@ class PlainDecision:
         ordered = sorted(known, key=lambda name: (round(self._entropy(name), 10), name))
         picked = ordered[: self.k]
         candidates = sorted(self.rooms) or [r.label for r in self.space.predicted_rooms]
+        found = {name: self._read(name) for name in names}
+        read_as = {name: label for name, label in found.items() if label and label != name}
         compared, by = self._compare(ordered, picked, candidates)
+        rule = self.rule
+        if compared is None and self.backoff:
+            rule = "pooled"
+            compared, by = replace(self, rule=rule)._compare(ordered, picked, candidates)
         if compared is None:
-            return Answer(None, {}, picked, unknown, "none")
+            return Answer(None, {}, picked, unknown, "none", self.rule, read_as)
         best = max(compared.values())
         room = min(name for name in candidates if compared[name] == best)
         probabilities = _softmax(compared)
-        return Answer(room, probabilities, picked, unknown, by)
+        return Answer(room, probabilities, picked, unknown, by, rule, read_as)
+
+    def _read(self, name: str) -> str | None:
+        found = NameReader(self.space.object_names).read(name)
+        return found and found.label
 
     def _resolve(self, names: Sequence[str]) -> tuple[list[str], list[str]]:
         known: list[str] = []
         unknown: dict[str, str] = {}
         for name in names:
             spelled = normalise(name)
-            label = self.space.object_aliases.get(spelled)
+            label = self._read(name)
             if label is None and spelled and self.model and self.source == "proxy":
-                self._unlisted[spelled] = ObjectLabel.named(spelled)
-                label = spelled
+                label = as_spoken(name)
+                self._unlisted[label] = ObjectLabel.named(label)
             if label is not None:
                 known.append(label)
             elif spelled:

@@ -36,7 +36,7 @@ class HashScorer:
 
     def score_of(self, sentence: str) -> SentenceScore:
         digest = hashlib.sha256(f"{self.scorer_id} {sentence}".encode()).digest()
-        nats = int.from_bytes(digest[:4]) / 2**32 * 8
+        nats = int.from_bytes(digest[:4], "big") / 2**32 * 8
         return SentenceScore(-20.0 - nats, len(sentence.split()))
 
 

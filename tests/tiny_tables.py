@@ -63,3 +63,14 @@ def build_tables(folder: Path, combinations: str = "all") -> Path:
         combinations=combinations,
     )
     return folder / "tables"
+
+
+def change_tables(folder: Path) -> None:
+    """Publish another version of what :func:`build_tables` built."""
+    build(
+        tables=folder / "tables",
+        scorer=FitScorer(),
+        labels=str(folder / "flat"),
+        combinations="all",
+        prior_weight=0.25,
+    )

@@ -1,7 +1,7 @@
 """Train household-lm from nothing: `python -m pipeline.household_lm.train`.
 
 It may be stopped at any time; the same command goes on from the last checkpoint. At the end the
-averaged weights are exported in float16 to ``--output``.
+averaged weights are exported in float16 to ``--output``, and as an ONNX file for robots.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from transformers import PreTrainedTokenizerFast
 
 from . import progress
 from .facts import load_facts
+from .onnx import write_onnx
 from .packing import BOS, batches
 from .training import Recipe, Training, new_model
 
@@ -102,6 +103,7 @@ def main(work: Path, output: Path, measure_every: int, **options: Any) -> None:
     training.resume()
     train(training, measure_every)
     export(training, output)
+    write_onnx(output)
 
 
 if __name__ == "__main__":

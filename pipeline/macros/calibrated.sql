@@ -6,7 +6,8 @@ create macro calibrated(
 select
     room,
     calibrated_nats,
-    exp(log_softmax(calibrated_nats, list(calibrated_nats) over ())) as p_room
+    exp(log_softmax(calibrated_nats, list(calibrated_nats) over ())) as p_room,
+    unknown_objects(given) as unknown_objects
 from (
     select
         room,

@@ -1,5 +1,7 @@
--- decided(given, by_rule, from_source, prior_weight, evidence_power, k, among):
--- what the published rule, or another by name, compares, and p(room), best first.
+-- decided(given, by_rule, from_source, prior_weight, evidence_power, k, among, backoff):
+-- what the published rule, or another by name, compares, and p(room), best first. Where the tables
+-- lack the sentence of rule query or calibrated, rule pooled decides, unless backoff := false; a
+-- room of unknown objects alone has one row without an answer.
 create macro decided(
     given,
     by_rule := null,
@@ -7,10 +9,10 @@ create macro decided(
     prior_weight := null,
     evidence_power := null,
     k := null,
-    among := null
+    among := null,
+    backoff := true
 ) as table
-select room, compared_nats, p_room
-from (
+with compared as (
     select 'query' as rule, room, score as compared_nats, p_room
     from answers(given, from_source := from_source, k := k, among := among)
     union all
@@ -27,6 +29,23 @@ from (
         evidence_power := evidence_power,
         among := among
     )
-) as compared
-where compared.rule = coalesce(by_rule, (select decision.rule from decision))
+),
+
+wanted as (
+    select * from compared
+    where compared.rule = coalesce(by_rule, (select decision.rule from decision))
+),
+
+found as (
+    select * from wanted
+    union all
+    select * from compared
+    where compared.rule = 'pooled' and backoff and not exists (from wanted)
+)
+
+select room, compared_nats, p_room, rule, unknown_objects(given) as unknown_objects
+from found
+union all
+select null, null, null, null, unknown_objects(given)
+where not exists (from found) and len(unknown_objects(given)) > 0
 order by compared_nats desc, room

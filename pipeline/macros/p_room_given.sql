@@ -12,7 +12,7 @@ with debiased as (
             as score
     from evidence
     where evidence.source = coalesce(from_source, (select decision.source from decision))
-        and list_contains(given, object)
+        and list_contains(known_objects(given), object)
         and (among is null or list_contains(among, room))
 ),
 
@@ -52,6 +52,7 @@ pooled as (
 select
     room,
     evidence_nats,
-    exp(log_softmax(evidence_nats, list(evidence_nats) over ())) as p_room
+    exp(log_softmax(evidence_nats, list(evidence_nats) over ())) as p_room,
+    unknown_objects(given) as unknown_objects
 from pooled
 order by evidence_nats desc, room

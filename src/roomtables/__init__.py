@@ -45,7 +45,10 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'roomtables' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_HOMES[name]), name)
+    from roomtables.errors import needing
+
+    with needing(f"roomtables.{name}", "lm" if name == "build" else None):
+        return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,10 @@ from roomtables.schemas import REDUCTIONS, RULES, SOURCES
 from roomtables.scorer import DTYPES, SCORINGS
 from roomtables.sentences import DEFAULT_TEMPLATE, Template
 
+DEFAULT_LABELS = "household"
 ENGINES = ("local", "ray")
+# What a build may put into the tables besides the rooms of a file; `auto` is `all` or `misses`.
+AUTO, ALL, NONE, MISSES = "auto", "all", "none", "misses"
 _CHOICES = {
     "dtype": DTYPES,
     "reduction": REDUCTIONS,
@@ -33,7 +37,7 @@ def pipeline_folder() -> Path:
 
 
 def load_labels(name_or_folder: str) -> LabelSpace:
-    """A label space: a folder of the user's own, or a built-in one by name.
+    """A label space: a built-in one by name, else a folder; ``./mpcat40`` is always the folder.
 
     Raises
     ------
@@ -42,11 +46,10 @@ def load_labels(name_or_folder: str) -> LabelSpace:
     InputError
         A file of the folder is malformed.
     """
+    if name_or_folder in builtin_labels():
+        return LabelSpace.load(pipeline_folder() / "labels" / name_or_folder)
     if Path(name_or_folder).is_dir():
         return LabelSpace.load(Path(name_or_folder))
-    builtin = pipeline_folder() / "labels"
-    if name_or_folder in builtin_labels():
-        return LabelSpace.load(builtin / name_or_folder)
     raise LabelSpaceError(
         f"no label space {name_or_folder!r}: neither a folder nor one of "
         f"{', '.join(builtin_labels())}; run `roomtables labels list`"
@@ -69,7 +72,7 @@ class BuildConfig:
         A value is of the wrong type or outside its range.
     """
 
-    labels: str = "mpcat40"
+    labels: str = DEFAULT_LABELS
     model: str = "household-lm"
     revision: str | None = None
     dtype: str = "float32"
@@ -80,7 +83,7 @@ class BuildConfig:
     reduction: str = "sum"
     smoothing: float | None = None
     k: int = 3
-    combinations: str = "all"
+    combinations: str = AUTO
     source: str = "proxy"
     rule: str = "query"
     prior_weight: float = 0.5
@@ -184,10 +187,16 @@ def default_stages() -> dict[str, tuple[str, ...]]:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    import tomllib  # Python 3.11; a lookup reads no TOML
-
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        tomllib = import_module("tomllib")  # a lookup reads no TOML
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"cannot read {path}: settings in TOML need Python 3.11 or newer; build there, then "
+            "take the tables here with `roomtables export`"
+        ) from error
+    try:
+        values: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        return values
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or thousands of digits

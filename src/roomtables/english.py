@@ -1,13 +1,26 @@
-"""Inflection of one label: its plural, its singular, its article (inflect does the work)."""
+"""Inflection of one label: its plural, its singular, its article.
+
+inflect does the work. What it answered for the names of the built-in label spaces is kept in
+``inflections.csv``, so that those need no import of it, which takes seconds. For other names
+inflect must be installed: MissingExtraError where it is not.
+"""
 
 from __future__ import annotations
 
+import csv
+import logging
 import re
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from roomtables.errors import needing
 
 if TYPE_CHECKING:
     import inflect
+
+log = logging.getLogger(__name__)
 
 # Nouns that name a mass, or whose form is the plural already; the last word of a label decides.
 _UNINFLECTED = frozenset(
@@ -47,9 +60,80 @@ _ENDS_IN_S = frozenset(["atlas", "bus", "canvas", "christmas", "gas", "lens", "n
 _MAX_NAME_LENGTH = 100
 
 
+class Forms(NamedTuple):
+    """A name's plural, its singular where the name is a plural itself (else empty), its article."""
+
+    plural: str
+    singular: str
+    article: str
+
+
+NOTED = Path(__file__).with_name("inflections.csv")
+
+
+def pluralise(label: str) -> str:
+    """The plural that stands in a sentence: ``chests of drawers``, ``shelves``, ``clothes``."""
+    return _forms(label).plural
+
+
+def singular(label: str) -> str | None:
+    """The singular of a label that is a plural (``shelves`` → ``shelf``), else ``None``."""
+    return _forms(label).singular or None
+
+
+def article(label: str) -> str:
+    """``a`` or ``an``: ``a utility room``, ``an office``."""
+    return _forms(label).article
+
+
+def inflect_anew(label: str) -> Forms:
+    """A name's forms as inflect answers now, whatever is noted."""
+    if not _is_name(label):
+        return Forms(label, "", "a")
+    one = _singular(label)
+    uninflected = one or _last_word(label) in _UNINFLECTED
+    plural = label if uninflected else _ask("plural_noun", label) or label
+    return Forms(plural, one, (_ask("a", label) or "a").split(" ", 1)[0])
+
+
+@cache
+def _forms(label: str) -> Forms:
+    return _noted().get(label) or inflect_anew(label)
+
+
+@cache
+def _noted() -> dict[str, Forms]:
+    with NOTED.open(encoding="utf-8", newline="") as lines:
+        rows = csv.reader(lines)
+        next(rows)
+        return {name: Forms(*forms) for name, *forms in rows}
+
+
+def _singular(label: str) -> str:
+    last_word = _last_word(label)
+    if last_word in _UNINFLECTED | _ENDS_IN_S or re.search(r"(ss|us|is)$", last_word):
+        return ""
+    found = _ask("singular_noun", label)
+    return found if found and found != label else ""
+
+
+@cache
+def can_inflect() -> bool:
+    """Whether inflect is installed; where it is not, one warning says which extra brings it."""
+    found = find_spec("inflect") is not None
+    if not found:
+        log.warning(
+            "names that no table has stay unknown, for want of their plurals; "
+            "run `pip install 'roomtables[robot]'`"
+        )
+    return found
+
+
 @cache
 def _engine() -> inflect.engine:
-    import inflect  # seconds to import (typeguard): only where a plural or an article is derived
+    # Seconds to import (typeguard): only where a plural or an article is not noted.
+    with needing("deriving a plural or an article"):
+        import inflect
 
     return inflect.engine()
 
@@ -59,34 +143,6 @@ def _ask(question: str, label: str) -> str | None:
     ask: Any = getattr(_engine(), question)
     answer = ask(label)
     return answer if isinstance(answer, str) and answer else None
-
-
-@cache
-def pluralise(label: str) -> str:
-    """The plural that stands in a sentence: ``chests of drawers``, ``shelves``, ``clothes``."""
-    if not _is_name(label) or _last_word(label) in _UNINFLECTED or singular(label) is not None:
-        return label
-    return _ask("plural_noun", label) or label
-
-
-@cache
-def singular(label: str) -> str | None:
-    """The singular of a label that is a plural (``shelves`` → ``shelf``), else ``None``."""
-    last_word = _last_word(label)
-    if not _is_name(label) or last_word in _UNINFLECTED | _ENDS_IN_S:
-        return None
-    if re.search(r"(ss|us|is)$", last_word):
-        return None
-    found = _ask("singular_noun", label)
-    return found if found != label else None
-
-
-@cache
-def article(label: str) -> str:
-    """``a`` or ``an``: ``a utility room``, ``an office``."""
-    if not _is_name(label):
-        return "a"
-    return (_ask("a", label) or "a").split(" ", 1)[0]
 
 
 def _last_word(label: str) -> str:

@@ -6,6 +6,31 @@ prints it after ``error:`` and exits 1; nothing here is ever raised for a mere d
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+# The extra that brings each package (by the name it is imported as): what pyproject.toml says.
+EXTRAS: Mapping[str, str] = {
+    "duckdb": "build",
+    "harlequin": "ui",
+    "huggingface_hub": "lm",
+    "inflect": "robot",
+    "matplotlib": "report",
+    "onnx": "lm",
+    "onnxruntime": "robot",
+    "onnxscript": "lm",
+    "pyarrow": "build",
+    "ray": "ray",
+    "safetensors": "lm",
+    "spark_dsg": "scene-graphs",
+    "tokenizers": "robot",
+    "torch": "lm",
+    "tqdm": "build",
+    "transformers": "lm",
+    "yaml": "scene-graphs",
+    "zmq": "scene-graphs",
+}
+
 
 class RoomtablesError(Exception):
     """Base of every error that a user, rather than a bug, can cause."""
@@ -36,6 +61,27 @@ class MissingExtraError(RoomtablesError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs an extra; run `pip install 'roomtables[{extra}]'`")
+
+
+@contextmanager
+def needing(feature: str, extra: str | None = None) -> Iterator[None]:
+    """Say in one line which extra a feature needs: around the imports of what the extra brings.
+
+    ``extra`` is named whatever package is missing; by default the one that brings that package.
+
+    Raises
+    ------
+    MissingExtraError
+        A package that an extra brings is not installed. (Any other failure of an import is raised
+        as it is.)
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        brings = EXTRAS.get((error.name or "").partition(".")[0])
+        if brings is None:
+            raise
+        raise MissingExtraError(feature, extra or brings) from error
 
 
 def first_line(error: BaseException) -> str:

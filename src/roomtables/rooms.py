@@ -7,7 +7,6 @@ several (a list, or ``a;b``), any of which is right. Beside ``objects`` a line m
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.errors import InputError
+from roomtables.limits import NAME_CHARACTERS, MalformedError, json_value, text_lines
 
 COUNTS = "counts"
 CONFIDENCES = "confidences"
@@ -78,6 +78,8 @@ def parse_room(value: object, where: str) -> Room:
     objects = value.get("objects")
     if not isinstance(objects, list) or not all(isinstance(name, str) for name in objects):
         raise InputError(f"{where}: `objects` must be a list of strings")
+    if max(map(len, (str(room_id), *objects))) > NAME_CHARACTERS:
+        raise InputError(f"{where}: a name of more than {NAME_CHARACTERS} characters")
     measures = {n: tuple(v) for n in MEASURES if isinstance(v := value.get(n), list)}
     return Room(str(room_id), tuple(objects), _truth(value.get("room"), where), measures)
 
@@ -99,18 +101,14 @@ def parse_room_lines(lines: Iterable[str | bytes], source: str) -> Iterator[Room
     InputError
         A line is not UTF-8, not valid JSON, or not a room; the message names ``source`` and line.
     """
-    for number, line in enumerate(lines, start=1):
-        where = f"{source}, line {number}"
-        try:
-            text = line.decode("utf-8") if isinstance(line, bytes) else line
-            if not text.strip():
-                continue
-            value = json.loads(text.lstrip("\ufeff"))
-        except UnicodeDecodeError as error:
-            raise InputError(f"{where}: not UTF-8 text ({error.reason})") from error
-        except (ValueError, RecursionError) as error:  # also a number of thousands of digits
-            raise InputError(f"{where}: invalid JSON ({error})") from error
-        yield parse_room(value, where)
+    number = 1
+    try:
+        for line in lines:
+            if line.strip():
+                yield parse_room(json_value(line), f"{source}, line {number}")
+            number += 1
+    except MalformedError as error:
+        raise InputError(f"{source}, line {number}: {error}") from error
 
 
 def read_room_lines(path: Path) -> Iterator[Room]:
@@ -123,7 +121,7 @@ def read_room_lines(path: Path) -> Iterator[Room]:
     """
     try:
         with path.open("rb") as lines:
-            yield from parse_room_lines(lines, str(path))
+            yield from parse_room_lines(text_lines(lines), str(path))
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror}; give a file of room lines"

@@ -156,7 +156,8 @@ VERSION_TABLES = (
     "objects", "rooms", "names", "cooccurrence", "entropy", "room_bias", "query_scores",
 )  # fmt: skip
 # Names that are taken: of folders under a tables folder, and of columns beside those of the rooms.
-RESERVED_SPACES = frozenset({"scores"})
+SCORES = "scores"  # the folder of sentence scores, beside those of label spaces
+RESERVED_SPACES = frozenset({SCORES})
 RESERVED_ROOMS = frozenset(column.name for column in TABLE_BY_NAME["query_scores"].columns)
 
 

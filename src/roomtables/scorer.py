@@ -1,7 +1,8 @@
 """What roomtables asks of a language model: the log probability of a sentence.
 
-``roomtables.lm`` implements the protocol with torch; tests implement it with a few lines of
-arithmetic. Importing this module loads neither torch nor numpy.
+``roomtables.lm`` implements the protocol with torch, ``roomtables.onnx_lm`` with ONNX Runtime;
+tests implement it with a few lines of arithmetic. Importing this module loads neither torch nor
+numpy.
 """
 
 from __future__ import annotations
@@ -15,6 +16,16 @@ DTYPES = ("float32", "float16", "bfloat16", "float64")
 SCORINGS = ("causal", "pll", "pll_word_l2r")
 """How a sentence is scored: left to right (causal models), or as a pseudo-log-likelihood (masked
 models), plain or with the rest of a word masked along with its earlier pieces."""
+
+SCORING_RULE_VERSION = "1"
+"""Raise it whenever what is scored changes: which tokens, the BOS rule, the masking rule."""
+
+TOLERANCE_NATS = 1e-3
+"""How far apart two ways of scoring a sentence with one model may be."""
+
+# Below this many parameters a matrix product is shorter than the wait for a second thread: one
+# thread is as fast on an idle machine, and over ten times as fast where another process is busy.
+ONE_THREAD_PARAMETERS = 20_000_000
 
 
 class SentenceScore(NamedTuple):

@@ -19,14 +19,15 @@ import pyarrow.parquet as pq
 from roomtables.config import BuildConfig, load_labels
 from roomtables.labels import LabelSpace
 from roomtables.offline.combinations import all_combinations
-from roomtables.online import rules
 from roomtables.schemas import PROXY
+from roomtables.storage.derived_lookup import read_scores
 from roomtables.storage.lookup import pack_keys
-from roomtables.storage.lookup_writer import LookupSettings, read_scores, write_lookup
+from roomtables.storage.lookup_writer import LookupSettings, write_lookup
 from roomtables.storage.versions import LOOKUP, SpaceFolder
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from robot_tables import small_arrays
 from support import made_manifest
 
 _BUILT = BuildConfig(rule="query", source=PROXY, prior_weight=0.5, evidence_power=3.0)
@@ -75,20 +76,6 @@ def write_query_scores(path: Path, space: LabelSpace, rng: np.random.Generator) 
             source = pa.repeat(pa.scalar(PROXY), len(part))
             writer.write_table(pa.table([source, part, *values.T], schema=schema))
     return len(keys)
-
-
-def small_arrays(room_logits: np.ndarray, space: LabelSpace) -> dict[str, np.ndarray]:
-    """What a lookup holds beside keys and scores, from S(o, r)."""
-    entropy = rules.entropy(rules.log_softmax(room_logits))
-    ordered = sorted(
-        range(len(entropy)),
-        key=lambda n: rules.rank_key(float(entropy[n]), space.objects[n].label),
-    )
-    ranks = np.empty(len(entropy), np.int32)
-    ranks[ordered] = np.arange(1, len(entropy) + 1)
-    predicted = [n for n, room in enumerate(space.rooms) if room.predicted]
-    bias = rules.room_bias(room_logits[:, predicted])
-    return {"entropy": entropy, "ranks": ranks, "room_logits": room_logits, "bias": bias}
 
 
 def peak_mb() -> float:

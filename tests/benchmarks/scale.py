@@ -17,9 +17,10 @@ import pyarrow.parquet as pq
 
 from roomtables.config import load_labels
 from roomtables.lm import load_scorer
-from roomtables.lm.trie import build_trie, sort_sequences
 from roomtables.offline.combinations import count_all
 from roomtables.offline.engines import SHARD_SENTENCES
+from roomtables.packing.sequences import sort_sequences
+from roomtables.packing.trie import build_trie
 from roomtables.sentences import Template
 
 

@@ -28,7 +28,8 @@ from roomtables.labels import LabelSpace
 from roomtables.lm import load_scorer
 from roomtables.lm.folders import EMBEDDED_FOLDER
 from roomtables.lm.scorer import SentenceScorer
-from roomtables.lm.trie import build_trie, sort_sequences
+from roomtables.packing.sequences import sort_sequences
+from roomtables.packing.trie import build_trie
 from roomtables.sentences import Template
 
 ROOT = Path(__file__).parents[2]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tarfile
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,9 @@ from click.testing import CliRunner
 from roomtables import build
 from roomtables.cli import main
 from support import HashScorer
+from wheels import hatch
+
+ROOT = Path(__file__).parents[2]
 
 
 class Shell:
@@ -44,5 +49,24 @@ def shell(tmp_path):
 def published(tmp_path_factory):
     """Tables of mpcat40 where the combinations of one or two objects are held."""
     tables = tmp_path_factory.mktemp("tables")
-    build(tables=tables, scorer=HashScorer(), k=2)
+    build(tables=tables, labels="mpcat40", scorer=HashScorer(), k=2)
     return tables
+
+
+@pytest.fixture(scope="session")
+def source(tmp_path_factory):
+    """The source distribution, unpacked."""
+    folder = tmp_path_factory.mktemp("source")
+    with tarfile.open(hatch(ROOT, "sdist", tmp_path_factory.mktemp("sdist"))) as archive:
+        archive.extractall(folder, filter="data")
+    (unpacked,) = folder.iterdir()
+    return unpacked
+
+
+@pytest.fixture(scope="session")
+def installed(source, tmp_path_factory):
+    """The wheel that is built from the source distribution, unpacked."""
+    folder = tmp_path_factory.mktemp("installed")
+    with zipfile.ZipFile(hatch(source, "wheel", tmp_path_factory.mktemp("wheel"))) as archive:
+        archive.extractall(folder)
+    return folder

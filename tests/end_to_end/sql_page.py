@@ -26,7 +26,7 @@ def answers(asked: list[str]) -> list[str]:
     """What the queries print, on tables of the embedded model."""
     with tempfile.TemporaryDirectory() as folder:
         example = ROOT / "src" / "roomtables" / "examples" / "house.jsonl"
-        build(tables=folder, combinations=str(example))
+        build(tables=folder, labels="mpcat40", combinations=str(example))
         connection = connect(Path(folder), SpaceFolder(Path(folder), "mpcat40").current())
         try:
             return [_printed(*select(connection, query)) for query in asked]

@@ -11,7 +11,7 @@ from roomtables.cli import main
 
 KEYS = [
     "room_id", "room", "probability", "probabilities", "objects", "unknown_objects", "rule",
-    "source", "answered_by",
+    "source", "answered_by", "read_as",
 ]  # fmt: skip
 
 
@@ -159,7 +159,7 @@ def test_labels_from_rooms_builds(shell, tmp_path):
 
 def test_labels_list(shell):
     rows = json.loads(shell("labels", "list", "--format", "json"))
-    assert [row["labels"] for row in rows] == ["mpcat40", "nyuclass"]
+    assert [row["labels"] for row in rows] == ["household", "mpcat40", "nyuclass"]
 
 
 def test_results_go_to_a_file(shell, published, tmp_path):

@@ -4,13 +4,12 @@ import json
 import os
 import subprocess
 import sys
-import tarfile
 import zipfile
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("hatchling", reason="the build backend is not installed (extra `dev`)")
+from wheels import hatch
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "roomtables"
@@ -22,40 +21,10 @@ print(json.dumps([str(config.pipeline_folder()), config.BuildConfig.load().model
 """
 
 
-def hatch(source, target, output):
-    """Build ``target`` from a source folder; returns the path of what was built."""
-    run = subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", output],
-        cwd=source, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    (built,) = output.iterdir()
-    return built
-
-
 def files(folder):
     """The files under a folder, relative to it, without what Python caches."""
     found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     return {name for name in found if "__pycache__" not in name}
-
-
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    """The source distribution, unpacked."""
-    folder = tmp_path_factory.mktemp("source")
-    with tarfile.open(hatch(ROOT, "sdist", tmp_path_factory.mktemp("sdist"))) as archive:
-        archive.extractall(folder, filter="data")
-    (unpacked,) = folder.iterdir()
-    return unpacked
-
-
-@pytest.fixture(scope="module")
-def installed(source, tmp_path_factory):
-    """The wheel that is built from the source distribution, unpacked."""
-    folder = tmp_path_factory.mktemp("installed")
-    with zipfile.ZipFile(hatch(source, "wheel", tmp_path_factory.mktemp("wheel"))) as archive:
-        archive.extractall(folder)
-    return folder
 
 
 def test_the_source_distribution_holds_every_committed_file(source):

@@ -40,7 +40,7 @@ def test_the_other_rules_are_the_other_contracts():
         for name, section in contracts().items()
         if section.get("type") == "protected"
     }
-    assert list(rules.values()) == [{"torch", "transformers"}, {"duckdb", "pyarrow"}]
+    assert list(rules.values())[:2] == [{"torch", "transformers"}, {"duckdb", "pyarrow"}]
     (sentence,) = re.findall(r"^`lint-imports` holds.*?\n\n", PAGE, flags=re.MULTILINE | re.DOTALL)
     for packages in rules.values():
         assert all(package in sentence for package in packages)

@@ -6,9 +6,9 @@ from roomtables.errors import ConfigError
 
 def test_the_shipped_file_is_the_defaults():
     config = BuildConfig.load()
-    assert (config.labels, config.model, config.k) == ("mpcat40", "household-lm", 3)
+    assert (config.labels, config.model, config.k) == ("household", "household-lm", 3)
     assert (config.reduction, config.source) == ("sum", "proxy")
-    assert config.evidence_power == 3
+    assert (config.combinations, config.evidence_power) == ("auto", 3)
     assert config.template == ("A room containing {objects} is called {room}.",)
     assert next(iter(config.stages)) == "objects"
 

@@ -62,7 +62,7 @@ def test_builtin_sentences_read_well():
 
 
 def test_every_builtin_space_loads():
-    assert builtin_labels() == ("mpcat40", "nyuclass")
+    assert builtin_labels() == ("household", "mpcat40", "nyuclass")
     for name in builtin_labels():
         assert load_labels(name).name == name
 

@@ -42,7 +42,11 @@ def test_no_truth_and_blank_lines():
         ('{"room_id": "a", "objects": [1]}', "line 2: `objects`"),
         ('{"room_id": "a", "room": 3, "objects": []}', "line 2: `room`"),
         (b'\xff{"room_id": "a", "objects": []}', "line 2: not UTF-8"),
-        ("[" * 100_000, "line 2: invalid JSON"),
+        ("[" * 100_000, "line 2: nested more than 100 deep"),
+        ("1" * 5000, "line 2: an integer of more than 20 digits"),
+        ('{"room_id": "a", "objects": ["\\ud800"]}', "line 2: half of a surrogate pair"),
+        ('{"room_id": "a", "objects": [], "counts": [NaN]}', "line 2: invalid JSON"),
+        ('{"room_id": "a", "objects": ["' + "x" * 1001 + '"]}', "line 2: a name of more than"),
     ],
 )
 def test_malformed_lines_are_named(line, said):

@@ -8,20 +8,20 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
-from tqdm import tqdm
 
 from roomtables import __version__
 from roomtables.cli.interrupts import end_interrupted, interruptible, noticing_interrupts
-from roomtables.errors import RoomtablesError
-from roomtables.labels import normalise
+from roomtables.cli.progress import write_line
+from roomtables.config import DEFAULT_LABELS
+from roomtables.errors import RoomtablesError, needing
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import Prediction
-from roomtables.rooms import MEASURES, Room
+from roomtables.rooms import MEASURES
 from roomtables.scenes.dsg import NamedRoom
 from roomtables.schemas import RULES, SOURCES
 from roomtables.storage.files import write_aside
@@ -30,7 +30,6 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 FORMATS = ("table", "json", "jsonl", "csv")
 _MOST_NAMES = 65_536  # answers whose names a Namer remembers
-_MOST_SHOWN = 12  # synonyms that are told of
 
 
 class Group(click.Group):
@@ -47,7 +46,7 @@ class Group(click.Group):
         logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
         logging.addLevelName(logging.WARNING, "warning")
         try:
-            with noticing_interrupts():
+            with noticing_interrupts(), needing("this command"):
                 return super().invoke(ctx)
         except RoomtablesError as error:
             click.echo(f"error: {' '.join(str(error).split())}", err=True)
@@ -68,7 +67,9 @@ tables_option = click.option(
     help="The tables folder.",
 )
 labels_option = click.option(
-    "--labels", default="mpcat40", show_default=True, help="Label space: a name, or its folder."
+    "--labels",
+    help="Label space: a name, or its folder.  "
+    f"[default: {DEFAULT_LABELS} where it is published, else the only one that is]",
 )
 output_option = click.option(
     "-o",
@@ -113,6 +114,10 @@ def _temperature(ctx: click.Context, param: click.Parameter, value: str | None) 
         raise click.BadParameter(f"{value!r} is neither a number nor `auto`") from None
 
 
+def _unless(ctx: click.Context, param: click.Parameter, value: bool) -> bool:
+    return not value
+
+
 weights_option = click.option(
     "--weights", type=click.Choice(MEASURES), help="What room lines say of each object counts."
 )
@@ -130,6 +135,13 @@ def decision_options(command: Command) -> Command:
             click.option("--temperature", callback=_temperature, help="A number, or auto."),
             click.option("--min-probability", type=float, help="Below it a room stays unknown."),
             click.option("--offline", is_flag=True, help="Never load a language model."),
+            click.option(
+                "--no-backoff",
+                "backoff",
+                is_flag=True,
+                callback=_unless,
+                help="Leave rooms unanswered that neither table nor model can answer by the rule.",
+            ),
         )
     ):
         command = option(command)
@@ -204,7 +216,7 @@ class Warnings:
     def __call__(self, message: str) -> None:
         if message not in self._said:
             self._said.add(message)
-            tqdm.write(f"warning: {message}", file=sys.stderr)
+            write_line(f"warning: {message}")
 
 
 class Namer:
@@ -246,31 +258,6 @@ def _provenance(answer: Prediction) -> dict[str, object]:
         "rule": answer.rule,
         "source": answer.source,
         "answered_by": answer.answered_by,
+        "read_as": answer.read_as,
+        "unknown_objects": list(answer.unknown_objects),
     }
-
-
-class Synonyms:
-    """Collects the synonyms among the names of rooms that pass through it."""
-
-    def __init__(self, tables: RoomTables) -> None:
-        self._labels = tables.lookup.object_aliases
-        self._plurals = {entry.label: normalise(entry.plural) for entry in tables.lookup.objects}
-        self._used: dict[str, str] = {}
-
-    def watch(self, rooms: Iterable[Room]) -> Iterator[Room]:
-        """The rooms, unchanged."""
-        for room in rooms:
-            for name in room.objects:
-                spelled = normalise(name)
-                label = self._labels.get(spelled)
-                if label is not None and spelled not in (label, self._plurals[label]):
-                    self._used[spelled] = label
-            yield room
-
-    def report(self) -> None:
-        """One line on stderr, if there was any."""
-        if self._used:
-            pairs = [f"{name} = {label}" for name, label in sorted(self._used.items())]
-            more = ", …" if len(pairs) > _MOST_SHOWN else ""
-            shown = ", ".join(pairs[:_MOST_SHOWN])
-            click.echo(f"read as synonyms: {shown}{more}", err=True)

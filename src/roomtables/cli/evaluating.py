@@ -18,6 +18,7 @@ from roomtables.cli.common import (
     tables_option,
     weights_option,
 )
+from roomtables.cli.names import NameReport
 from roomtables.evaluation import Evaluation, evaluate
 from roomtables.evaluation.comparison import (
     Comparison,
@@ -54,7 +55,7 @@ def evaluate_command(
     plot_calibration: Path | None,
     weights: str | None,
     tables: Path,
-    labels: str,
+    labels: str | None,
     format_: str,
     output: Path | None,
     **decision: Any,
@@ -84,6 +85,10 @@ def evaluate_command(
         evaluations = compared.evaluations
     else:
         result = evaluate(rooms_file, opened, weights)
+        names = NameReport.of(opened)
+        for judged in result.judged:
+            names.take(judged.prediction)
+        click.get_current_context().call_on_close(names.print)
         emit(
             _summary(result) if as_text else as_json(result.as_json(statistics=statistics)), output
         )
@@ -123,7 +128,8 @@ def _summary(result: Evaluation) -> str:
         f"right among the top 3: {more['top_3_accuracy']:.1%}; "
         f"expected calibration error {more['expected_calibration_error']:.3f}",
         f"baselines: uniform {baselines['uniform']:.1%}, majority {baselines['majority']:.1%}",
-        f"answered by: {_counts(found['answered_by'])}; left out: {_counts(found['skipped'])}",
+        f"answered by: {_counts(found['answered_by'])}; backed off to rule pooled: "
+        f"{found['backed_off']}; left out: {_counts(found['skipped'])}",
     ]
     return "\n".join(lines) + "\n\n" + render(rows, "table")
 
@@ -189,7 +195,7 @@ def _sweep_text(swept: Sweep) -> str:
 @decision_options
 @click.option("-o", "--output", type=_FILE, required=True, help="The HTML file to write.")
 def report_command(
-    rooms_file: Path | None, tables: Path, labels: str, output: Path, **decision: Any
+    rooms_file: Path | None, tables: Path, labels: str | None, output: Path, **decision: Any
 ) -> None:
     """Write one self-contained page about the tables; with labelled ROOMS also how they do.
 

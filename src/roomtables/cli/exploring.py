@@ -20,9 +20,11 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import InputError, MissingExtraError
+from roomtables.schemas import SCORES
 from roomtables.storage.files import held
 from roomtables.storage.scratch import scratch
-from roomtables.storage.versions import SpaceFolder, Version
+from roomtables.storage.spaces import find_space
+from roomtables.storage.versions import Version
 from roomtables.storage.views import connect, guide, select
 
 _PROMPT, _MORE = "roomtables> ", "       ...> "
@@ -38,7 +40,7 @@ _LEAVE = {".quit", ".exit", "quit", "exit"}
 @format_option()
 @output_option
 def sql_command(
-    query: str | None, tables: Path, labels: str, ui: bool, format_: str, output: Path | None
+    query: str | None, tables: Path, labels: str | None, ui: bool, format_: str, output: Path | None
 ) -> None:
     """Ask the published tables in SQL; every table is a view, nothing can be written.
 
@@ -52,9 +54,7 @@ def sql_command(
     """
     if ui and (query or output):
         raise click.UsageError("--ui takes no QUERY and no -o")
-    from roomtables.storage.score_parts import SCORES  # brings pyarrow
-
-    version = SpaceFolder(tables, Path(labels).name).current()
+    version = find_space(tables, labels).current()
 
     click.get_current_context().with_resource(held(version.path, *(tables / SCORES).glob("*")))
     if ui:

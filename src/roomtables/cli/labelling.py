@@ -15,7 +15,6 @@ import click
 
 from roomtables.cli.common import (
     Namer,
-    Synonyms,
     Warnings,
     as_json,
     as_json_line,
@@ -31,6 +30,7 @@ from roomtables.cli.common import (
     tables_option,
     weights_option,
 )
+from roomtables.cli.names import NameReport
 from roomtables.online.classifier import RoomTables, classify_rooms
 from roomtables.online.prediction import Prediction
 from roomtables.online.serve import Labeller, Service
@@ -42,7 +42,7 @@ from roomtables.scenes.sparkdsg import GraphCodec, LiveGraph
 _CHUNK = 1024  # rooms whose misses share one pass of the model
 _COLUMNS = (
     "room_id", "room", "reason", "probability", "top", "objects", "unknown_objects", "rule",
-    "source", "answered_by",
+    "source", "answered_by", "read_as",
 )  # fmt: skip
 
 
@@ -68,7 +68,7 @@ def classify(
     explain: bool,
     weights: str | None,
     tables: Path,
-    labels: str,
+    labels: str | None,
     format_: str,
     output: Path | None,
     **decision: Any,
@@ -86,16 +86,18 @@ def classify(
     opened = RoomTables.open(tables, labels, **decision)
     rooms: Iterable[Room] = [Room("", objects)]
     if input_:
-        rooms = _rooms_of(
+        rooms = read_rooms(
             input_,
-            opened,
+            warn=Warnings(),
             labelspace=labelspace,
-            object_labels=house_labels(labels),
+            object_labels=house_labels(opened.version.manifest.labels),
             category_mapping=category_mapping,
         )
+    names = NameReport.of(opened)
+    click.get_current_context().call_on_close(names.print)
     records = (
         _record(room, prediction, top, explain)
-        for room, prediction in _classified(rooms, opened, weights)
+        for room, prediction in _classified(rooms, opened, weights, names)
     )
     if format_ == "jsonl":
         emit_lines(map(as_json_line, records), output)
@@ -104,29 +106,46 @@ def classify(
     else:
         left_out = set() if input_ else {"room_id"}
         left_out |= set() if top else {"top"}
-        left_out |= set() if decision.get("min_probability") else {"reason"}
-        columns = [name for name in _COLUMNS if name not in left_out]
-        emit(_as_text(list(records), format_, columns), output)
+        text = _as_csv if format_ == "csv" else _as_table
+        sure = not decision.get("min_probability")
+        emit(text(list(records), left_out | ({"reason"} if sure else set())), output)
 
 
-def _rooms_of(path: str, tables: RoomTables, **reading: Any) -> Iterator[Room]:
-    """The rooms of a file; which names were read as synonyms is said at the end."""
-    synonyms = Synonyms(tables)
-    click.get_current_context().call_on_close(synonyms.report)
-    return synonyms.watch(read_rooms(path, warn=Warnings(), **reading))
+def _as_csv(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:
+    columns = [name for name in _COLUMNS if name not in left_out]
+    return render([_row(record) for record in records], "csv", columns)
 
 
-def _as_text(records: Sequence[dict[str, Any]], format_: str, columns: Sequence[str]) -> str:
-    """A table or CSV; below a table, why each room is as it is, where that was asked for."""
-    rows = [record | {"top": _shown(record["probabilities"])} for record in records]
-    text = render(rows, format_, columns)
-    if format_ == "table":
-        text += "".join(_explanation(record) for record in records if "evidence" in record)
-    return text
+def _as_table(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:
+    """A table, and below it why each room is as it is, where that was asked for.
+
+    Why a room has no answer, and what names were read as, are columns where there is such a room.
+    """
+    rows = [_row(record) for record in records]
+    for row in rows:
+        row["reason"] = row.get("reason") or _why_unanswered(row)
+    if any(row["reason"] for row in rows):
+        left_out = left_out - {"reason"}
+    if not any(row["read_as"] for row in rows):
+        left_out = left_out | {"read_as"}
+    columns = [name for name in _COLUMNS if name not in left_out]
+    text = render(rows, "table", columns)
+    return text + "".join(_explanation(record) for record in records if "evidence" in record)
 
 
-def _shown(probabilities: Mapping[str, float]) -> list[str]:
-    return [f"{room} {probability:.3f}" for room, probability in probabilities.items()]
+def _row(record: Mapping[str, Any]) -> dict[str, Any]:
+    """A record with cells of text for what is nested."""
+    top = [f"{room} {probability:.3f}" for room, probability in record["probabilities"].items()]
+    read_as = [f"{given} = {label}" for given, label in record["read_as"].items()]
+    return {**record, "top": top, "read_as": read_as}
+
+
+def _why_unanswered(row: Mapping[str, Any]) -> str | None:
+    if row["room"] is not None:
+        return None
+    if row["objects"]:
+        return "not in the tables, and no model to ask"
+    return "no known object" if row["unknown_objects"] else "no object"
 
 
 def _explanation(record: dict[str, Any]) -> str:
@@ -143,12 +162,14 @@ def _explanation(record: dict[str, Any]) -> str:
 
 
 def _classified(
-    rooms: Iterable[Room], tables: RoomTables, weights: str | None
+    rooms: Iterable[Room], tables: RoomTables, weights: str | None, names: NameReport
 ) -> Iterator[tuple[Room, Prediction]]:
     rooms = iter(rooms)
     while chunk := list(islice(rooms, _CHUNK)):
         predictions = classify_rooms(tables, chunk, weights)
-        yield from zip(chunk, predictions, strict=True)
+        for room, prediction in zip(chunk, predictions, strict=True):
+            names.take(prediction)
+            yield room, prediction
 
 
 def _record(room: Room, prediction: Prediction, top: int | None, explain: bool) -> dict[str, Any]:
@@ -189,7 +210,7 @@ def serve(
     send: str,
     report_every: float,
     tables: Path,
-    labels: str,
+    labels: str | None,
     labelspace: Path | None,
     offline: bool,
     **decision: Any,

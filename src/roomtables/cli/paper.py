@@ -11,6 +11,7 @@ import click
 from roomtables.cli.common import as_json, emit, format_option, output_option, render
 from roomtables.cli.evaluating import check_plots
 from roomtables.config import BuildConfig
+from roomtables.errors import needing
 from roomtables.evaluation.paper import Reproduction, Trial, reproduce
 from roomtables.online.classifier import RoomTables
 from roomtables.rooms import read_room_lines
@@ -68,7 +69,8 @@ def paper_command(
         if given and len(given) != len(rooms):
             raise click.UsageError(f"--{name}: give it once per ROOMS, {len(rooms)} times")
     check_plots(plot)
-    from roomtables.offline.builder import build  # imports pyarrow and duckdb
+    with needing("`roomtables paper`", "lm"):
+        from roomtables.offline.builder import build
 
     columns = []
     for at, file in enumerate(rooms):

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-from tqdm import tqdm
 
 from roomtables.cli.common import (
     Namer,
-    Synonyms,
     Warnings,
     as_json_line,
     decision_options,
@@ -28,7 +26,11 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.names import NameReport
+from roomtables.cli.progress import progress_bar
+from roomtables.config import BuildConfig, load_labels
 from roomtables.errors import InputError, StoreError
+from roomtables.names import NameReader
 from roomtables.online.classifier import RoomTables
 from roomtables.scenes.dsg import graph_scene, label_rooms
 from roomtables.scenes.matterport_labels import house_labels
@@ -75,7 +77,8 @@ def rooms(
 ) -> None:
     """Turn SCENEs of any supported format into room lines; the content decides the format.
 
-    A folder stands for the .house files in it, or for an HOV-SG graph.
+    A folder stands for the .house files in it, or for an HOV-SG graph. Names that the default label
+    space does not know are told on stderr.
 
     \b
     Example:
@@ -85,8 +88,12 @@ def rooms(
     options = ReadOptions(labelspace, keep_all, labels, category_mapping, Warnings())
     found = _scenes(scenes, options)
     if room_list is not None:
-        names = read_true_rooms(room_list)
-        found = (with_true_rooms(scene, names) for scene in found)
+        true_rooms = read_true_rooms(room_list)
+        found = (with_true_rooms(scene, true_rooms) for scene in found)
+    space = load_labels(BuildConfig().labels)
+    names = NameReport(NameReader(space.object_names), space.name)
+    click.get_current_context().call_on_close(names.print_unknown)
+    found = names.watch(found)
     if frequencies:
         _emit_frequencies(found, "table" if format_ in ("jsonl", "nested") else format_, output)
     elif format_ == "nested":
@@ -102,7 +109,7 @@ def rooms(
 def _scenes(paths: Iterable[Path], options: ReadOptions) -> Iterator[Scene]:
     """The scenes of all paths, one at a time; ids that several scenes could share get a prefix."""
     files = [file for path in paths for file in scene_files(path)]
-    for file in tqdm(files, unit="scene", disable=None if len(files) > 1 else True, leave=False):
+    for file in progress_bar(files, "scene"):
         scene = read_scene(file, options)
         if len(files) > 1 and scene.local_ids:
             name = scene.name
@@ -134,7 +141,7 @@ def label(
     scene: Path,
     output: Path,
     tables: Path,
-    labels: str,
+    labels: str | None,
     labelspace: Path | None,
     **decision: Any,
 ) -> None:
@@ -148,10 +155,10 @@ def label(
     graph = read_graph(scene)
     found = list(graph_scene(graph, scene.stem, options).rooms)
     opened = RoomTables.open(tables, labels, **decision)
-    synonyms = Synonyms(opened)
-    answers = opened.classify_many(
-        [room.objects for room in synonyms.watch(room.as_room() for room in found)]
-    )
+    answers = opened.classify_many([room.as_room().objects for room in found])
+    names = NameReport.of(opened)
+    for answer in answers:
+        names.take(answer)
     by_room = {room.room_id: answer for room, answer in zip(found, answers, strict=True)}
     named = Namer(opened)(by_room)
     label_rooms(graph, named, [room.label for room in opened.candidates])
@@ -159,7 +166,7 @@ def label(
         write_sparkdsg(graph.document, output)
     else:
         write_aside(output, json.dumps(graph.document, separators=(",", ":")).encode())
-    synonyms.report()
+    names.print()
     click.echo(f"{output}: {len(named)} of {len(found)} rooms named", err=True)
 
 
@@ -176,7 +183,7 @@ def show(
     scene: Path,
     output: Path,
     tables: Path,
-    labels: str,
+    labels: str | None,
     labelspace: Path | None,
     category_mapping: Path | None,
     keep_all: bool,
@@ -205,8 +212,10 @@ def show(
         answers = _answers(found, opened.classify_many(objects))
     if not found:
         raise InputError(f"{scene} holds no room to draw; give `--all`, or another scene")
-    draw(replace(read, rooms=found), answers, output)
-    click.echo(f"{output}: {len(found)} rooms drawn", err=True)
+    drawn = draw(replace(read, rooms=found), answers, output)
+    rest = len(found) - drawn
+    left_out = f"; {rest} without a place" if rest else ""
+    click.echo(f"{output}: {drawn} rooms drawn{left_out}", err=True)
 
 
 def _answers(rooms: list[SceneRoom], predictions: Sequence[Any]) -> dict[str, tuple[str, float]]:

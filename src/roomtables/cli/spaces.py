@@ -1,18 +1,40 @@
-"""Commands about label spaces: list, show, import, from-rooms."""
+"""Commands about label spaces: list, show, import, from-rooms, check."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import click
 
-from roomtables.cli.common import emit, format_option, output_option, render
-from roomtables.config import builtin_labels, load_labels
+from roomtables.cli.common import (
+    Warnings,
+    emit,
+    format_option,
+    labels_option,
+    labelspace_option,
+    output_option,
+    render,
+    tables_option,
+)
+from roomtables.config import DEFAULT_LABELS, builtin_labels, load_labels
 from roomtables.errors import InputError
-from roomtables.labels import LabelSpace
+from roomtables.labels import LabelSpace, Name
+from roomtables.names import NameReader
+from roomtables.online.classifier import RoomTables
+from roomtables.online.name_check import check_names, summary
 from roomtables.rooms import read_room_lines
+from roomtables.scenes import read_rooms
 from roomtables.scenes.hydra import read_hydra_labels, to_label_space
 from roomtables.storage.files import write_aside
+from roomtables.storage.spaces import published_labels
+
+# What ends so is a file, whether or not it is there.
+_SUFFIXES = frozenset(
+    [".csv", ".house", ".json", ".jsonl", ".ndjson", ".sparkdsg", ".txt", ".yaml", ".yml"]
+)
+_YAML = frozenset([".yaml", ".yml"])
 
 
 @click.group()
@@ -21,7 +43,7 @@ def labels() -> None:
 
     \b
     Example:
-      roomtables labels show mpcat40
+      roomtables labels show household
     """
 
 
@@ -122,6 +144,67 @@ def from_rooms(rooms_file: Path, output: Path) -> None:
     if not objects or not rooms:
         raise InputError(f"{rooms_file} names no object or no room; room lines need `room`")
     save_labels(LabelSpace.named(output.resolve().name, objects, rooms), output)
+
+
+@labels.command()
+@click.argument("given", metavar="FILE|NAME...", nargs=-1, required=True)
+@labelspace_option
+@tables_option
+@labels_option
+@format_option()
+@output_option
+def check(
+    given: tuple[str, ...],
+    labelspace: Path | None,
+    tables: Path,
+    labels: str | None,
+    format_: str,
+    output: Path | None,
+) -> None:
+    """Say how much of a scene, a room list, a Hydra label-space YAML or of NAMEs is understood.
+
+    Each distinct name is shown with the object that it is read as, and how (label, plural, synonym,
+    spelling, compound); those not understood come first, with the nearest names that are known.
+    Names are read as the published tables read them, or the label space where there are none.
+
+    \b
+    Example:
+      roomtables labels check rooms.jsonl
+      roomtables labels check ade20k_full_label_space.yaml --labels mpcat40
+      roomtables labels check DiningTable chair_12 "wooden stool"
+    """
+    reader = NameReader(_object_names(tables, labels))
+    rows = check_names(reader, Counter(_names_in(given, labelspace)))
+    columns = ("name", "times", "object", "how", "nearest")
+    text = render([row.as_json() for row in rows], format_, columns)
+    if format_ == "table":
+        emit(f"{text}\n{summary(rows)}\n", output)
+    else:
+        emit(text, output)
+        click.echo(summary(rows), err=True)
+
+
+def _object_names(tables: Path, labels: str | None) -> Mapping[str, Name]:
+    """The names of objects as published tables read them, else as the label space does."""
+    published = {*published_labels(tables), *published_labels(tables / "tables")}
+    if published if labels is None else labels in published:
+        opened = RoomTables.open(tables, labels, offline=True, note_misses=False)
+        return opened.lookup.object_names()
+    return load_labels(labels or DEFAULT_LABELS).object_names
+
+
+def _names_in(given: Iterable[str], labelspace: Path | None) -> Iterable[str]:
+    """The names of objects in files, each as often as it occurs, and the names that are no file."""
+    for argument in given:
+        path = Path(argument)
+        if path.suffix.casefold() in _YAML:
+            found = read_hydra_labels(path)
+            yield from (found.names[label] for label in found.objects or found.names)
+        elif argument == "-" or path.suffix.casefold() in _SUFFIXES or path.exists():
+            for room in read_rooms(argument, labelspace=labelspace, warn=Warnings()):
+                yield from room.objects
+        else:
+            yield argument
 
 
 def save_labels(space: LabelSpace, folder: Path) -> None:

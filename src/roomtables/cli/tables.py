@@ -17,7 +17,8 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
-from roomtables.config import ENGINES, BuildConfig
+from roomtables.config import DEFAULT_LABELS, ENGINES, BuildConfig
+from roomtables.errors import needing
 from roomtables.schemas import REDUCTIONS
 from roomtables.scorer import DTYPES, SCORINGS
 
@@ -29,14 +30,16 @@ from roomtables.cli.common import (
     labels_option,
 )
 from roomtables.storage.misses import FOLDER, Misses
-from roomtables.storage.versions import SpaceFolder
+from roomtables.storage.spaces import find_space
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 _OPTIONS = (
     click.option("--config", type=_FILE, help="A build.toml; options win over it."),
-    click.option("--labels", help="Label space: a built-in name, or a folder.  [default: mpcat40]"),
+    click.option(
+        "--labels", help=f"Label space: a built-in name, or a folder.  [default: {DEFAULT_LABELS}]"
+    ),
     click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
     click.option("--revision", help="Branch, tag or commit of a hub model."),
     click.option("--dtype", type=click.Choice(DTYPES), help="Compute precision."),
@@ -47,7 +50,11 @@ _OPTIONS = (
     click.option("--smoothing", type=float, help="Added to each count.  [default: 1 / rooms]"),
     click.option("--counts", type=_FILE, help="CSV (object, room, count), or labelled room lines."),
     click.option("--scores", type=_FILE, help="CSV of scores that stand in for the model."),
-    click.option("--combinations", help="all, none, misses, or a file of room lines."),
+    click.option(
+        "--combinations",
+        help="all, none, misses, or a file of room lines.  "
+        "[default: auto: all up to two million sentences, else misses]",
+    ),
     click.option("--engine", type=click.Choice(ENGINES), help="Where sentences are scored."),
     click.option("--workers", type=int, help="Of engine ray.  [default: as many as fit]"),
     click.option("--full-refresh", is_flag=True, default=None, help="Score everything afresh."),
@@ -75,10 +82,11 @@ def build_command(
 
     \b
     Example:
-      roomtables build --labels mpcat40
+      roomtables build
       roomtables build --model ./gpt2 --dtype bfloat16 --combinations rooms.jsonl
     """
-    from roomtables.offline.builder import build
+    with needing("`roomtables build`", "lm"):
+        from roomtables.offline.builder import build
 
     found = BuildConfig.load(config, **options)
     report = build(found, tables=tables, progress=sys.stderr.isatty(), wait=wait)
@@ -108,9 +116,10 @@ def plan_command(
 
     \b
     Example:
-      roomtables plan --labels nyuclass --format json
+      roomtables plan --labels mpcat40 --format json
     """
-    from roomtables.offline.plan import plan
+    with needing("`roomtables plan`", "lm"):
+        from roomtables.offline.plan import plan
 
     found = plan(BuildConfig.load(config, **options), tables=tables)
     emit(as_json(found.as_json()) if format_ == "json" else _plan_text(found), output)
@@ -170,7 +179,7 @@ _MISS_COLUMNS = ("source", "objects", "times_asked", "last_asked")
 @labels_option
 @format_option()
 @output_option
-def misses_command(tables: Path, labels: str, format_: str, output: Path | None) -> None:
+def misses_command(tables: Path, labels: str | None, format_: str, output: Path | None) -> None:
     """List the combinations of known objects that were asked for and that no table held.
 
     `build --combinations misses` puts them into the tables; then they are listed no more.
@@ -179,7 +188,7 @@ def misses_command(tables: Path, labels: str, format_: str, output: Path | None)
     Example:
       roomtables misses --format csv
     """
-    space = SpaceFolder(tables, Path(labels).name)
+    space = find_space(tables, labels)
     if not space.path.is_dir():
         space.current()  # says what is missing, and what there is
     rows = [
@@ -198,19 +207,27 @@ def misses_command(tables: Path, labels: str, format_: str, output: Path | None)
     show_default=True,
     help="The archive: .tar.zst, .tar.gz or .tar.",
 )
+@click.option(
+    "--with-model",
+    is_flag=True,
+    help="The model, too, in ONNX: it answers what no table holds, without torch.",
+)
 @tables_option
 @labels_option
-def export_command(output: Path, tables: Path, labels: str) -> None:
+def export_command(output: Path, with_model: bool, tables: Path, labels: str | None) -> None:
     """Pack the published tables for a robot: what a lookup needs, in one archive.
 
     \b
     Example:
-      roomtables export -o tables.tar.zst --labels mpcat40
+      roomtables export -o tables.tar.zst
       tar --zstd -xf tables.tar.zst        # on the robot
     """
+    from roomtables.offline.robot_model import write_robot_model
     from roomtables.storage.export import export
 
-    for found in export(tables, Path(labels).name, output):
+    space = find_space(tables, labels).labels
+    packed = export(tables, space, output, write_robot_model if with_model else None)
+    for found in packed:
         click.echo(
             f"{found.source}: {found.combinations:,} combinations x {found.rooms} rooms, "
             f"{_megabytes(found.bytes)} unpacked"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from roomtables.cli.common import (
 )
 from roomtables.errors import StoreError
 from roomtables.storage.removal import KEPT_VERSIONS
-from roomtables.storage.versions import SpaceFolder, Version
+from roomtables.storage.spaces import find_space
+from roomtables.storage.versions import Version
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 _CLOCK_SKEW = timedelta(minutes=5)
@@ -47,7 +48,7 @@ def _age(ctx: click.Context, param: click.Parameter, value: str | None) -> timed
 @output_option
 def status(
     tables: Path,
-    labels: str,
+    labels: str | None,
     max_age: timedelta | None,
     verify: bool,
     format_: str,
@@ -60,7 +61,7 @@ def status(
       roomtables status --format json
       roomtables status --max-age 26h --verify
     """
-    version = SpaceFolder(tables, Path(labels).name).current()
+    version = find_space(tables, labels).current()
     if max_age is not None:
         _check_age(version, max_age)
     if verify:
@@ -75,7 +76,7 @@ def status(
 
 
 def _check_age(version: Version, max_age: timedelta) -> None:
-    age = datetime.now(UTC) - version.manifest.created
+    age = _age_of(version)
     if age < -_CLOCK_SKEW:
         raise StoreError(
             f"{version.path} is dated {version.manifest.created.isoformat()}, in the future; "
@@ -88,6 +89,10 @@ def _check_age(version: Version, max_age: timedelta) -> None:
         )
 
 
+def _age_of(version: Version) -> timedelta:
+    return datetime.now(timezone.utc) - version.manifest.created
+
+
 def _hours(age: timedelta) -> str:
     return f"{age.total_seconds() / 3600:.4g}"
 
@@ -98,7 +103,7 @@ def _describe(version: Version) -> dict[str, Any]:
         "labels": manifest.labels,
         "version": version.name,
         "created": manifest.created.isoformat(),
-        "age_hours": round((datetime.now(UTC) - manifest.created).total_seconds() / 3600, 2),
+        "age_hours": round(_age_of(version).total_seconds() / 3600, 2),
         "scorer_id": manifest.scorer_id,
         "query_scorer_id": manifest.query_scorer_id,
         "model": manifest.settings.model,
@@ -176,7 +181,7 @@ def compact(tables: Path, format_: str, output: Path | None) -> None:
 @tables_option
 @labels_option
 @format_option("table", "json")
-def rollback(tables: Path, labels: str, format_: str) -> None:
+def rollback(tables: Path, labels: str | None, format_: str) -> None:
     """Publish the version before the published one.
 
     \b
@@ -185,7 +190,7 @@ def rollback(tables: Path, labels: str, format_: str) -> None:
     """
     from roomtables.offline.upkeep import roll_back
 
-    left, now = roll_back(tables, Path(labels).name)
+    left, now = roll_back(tables, find_space(tables, labels).labels)
     if format_ == "json":
         emit(as_json({"labels": now.manifest.labels, "version": now.name, "left": left.name}))
     else:
@@ -204,7 +209,7 @@ def diff(
     before: str | None,
     after: str | None,
     tables: Path,
-    labels: str,
+    labels: str | None,
     top: int,
     format_: str,
     output: Path | None,
@@ -220,7 +225,7 @@ def diff(
     """
     from roomtables.offline.diff import compare
 
-    space = SpaceFolder(tables, Path(labels).name)
+    space = find_space(tables, labels)
     newer = space.named(after) if after else space.current()
     older = space.named(before) if before else space.before(newer)
     found = compare(older, newer)

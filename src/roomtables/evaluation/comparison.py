@@ -8,7 +8,7 @@ alone.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -128,7 +128,8 @@ def sweep(rooms: Iterable[Room] | str | Path, tables: RoomTables) -> Sweep:
     """
     held = room_list(rooms)
     model = QueryModel(tables.version.manifest, allowed=False)  # nor are its misses noted
-    tables = RoomTables(tables.version, tables.lookup, model, tables.decision)
+    alone = replace(tables.decision, backoff=False)  # what each rule itself decides
+    tables = RoomTables(tables.version, tables.lookup, model, alone)
     lookup = tables.lookup
     points: list[SweepPoint] = []
     notes: list[str] = []

@@ -148,6 +148,7 @@ class Evaluation:
             "confusion": self.confusion(),
             "baselines": self.baselines(),
             "answered_by": dict(Counter(j.prediction.answered_by for j in self.judged)),
+            "backed_off": sum(j.prediction.backed_off for j in self.judged),
             "skipped": dict(self.skipped),
             **extra,
         }

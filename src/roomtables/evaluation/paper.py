@@ -114,7 +114,8 @@ def reproduce(columns: Sequence[tuple[RoomTables, Iterable[Room]]]) -> Reproduct
             if source not in tables.lookup.sources:
                 trials.append(Trial(labels, rule, source, None))
                 continue
-            found = evaluate(held, tables.deciding(rule=rule, source=source))
+            alone = tables.deciding(rule=rule, source=source, backoff=False)
+            found = evaluate(held, alone)
             answered = any(judged.prediction.room is not None for judged in found.judged)
             trials.append(Trial(labels, rule, source, found if answered else None))
             frequencies[labels] = Counter(judged.truth[0] for judged in found.judged)

@@ -6,16 +6,19 @@ loaded. :func:`identify` names a scorer without them, unless it is to look for a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roomtables.errors import MissingExtraError
+from roomtables.errors import needing
 from roomtables.lm.folders import EMBEDDED_MODEL
-from roomtables.lm.identity import identify
+from roomtables.lm.identity import identify, identities
 
 if TYPE_CHECKING:
     from roomtables.lm.scorer import SentenceScorer
+    from roomtables.onnx_lm.scorer import OnnxScorer
 
-__all__ = ["EMBEDDED_MODEL", "identify", "load_scorer"]
+__all__ = ["EMBEDDED_MODEL", "export_onnx", "identify", "identities", "load_scorer"]
 
 
 def load_scorer(
@@ -56,12 +59,9 @@ def load_scorer(
     MissingExtraError
         torch or transformers is not installed.
     """
-    try:
+    with needing("loading a language model", "lm"):
         from roomtables.lm.loading import load
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] not in {"torch", "transformers", "safetensors"}:
-            raise
-        raise MissingExtraError("loading a language model", "lm") from error
+
     return load(
         model,
         revision=revision,
@@ -71,3 +71,36 @@ def load_scorer(
         token_budget=token_budget,
         progress=progress,
     )
+
+
+def export_onnx(
+    folder: Path,
+    sentences: Sequence[str],
+    model: str = EMBEDDED_MODEL,
+    *,
+    revision: str | None = None,
+    dtype: str = "float32",
+    scoring: str | None = None,
+) -> OnnxScorer:
+    """Write a causal model's ``model.onnx`` and ``tokenizer.json`` into a folder, and open them.
+
+    Parameters
+    ----------
+    folder
+        Made if it is not there. Where an error is raised, what is in it is of no use.
+    sentences
+        At least two, on which the file must be within 1e-3 nats of the model in torch.
+    model, revision, dtype, scoring
+        As in :func:`load_scorer`.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be loaded, is a masked one, is too large for an ONNX file, does not
+        convert, or scores otherwise once it is converted.
+    MissingExtraError
+        torch, transformers or onnx is not installed.
+    """
+    with needing("making an ONNX file", "lm"):
+        from roomtables.lm.onnx_export import export
+    return export(folder, sentences, model, revision=revision, dtype=dtype, scoring=scoring)

@@ -9,18 +9,19 @@ from typing import Any
 import numpy as np
 
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import choose
 from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
-from roomtables.lm.trie import Sequences, sort_sequences
+from roomtables.packing.sequences import FloatArray, Sequences, sort_sequences
 
 
 class CausalBackend:
     """Sum of log p(token | tokens before it) over a sentence's scored tokens (paper equation 1).
 
     The fastest strategy that agrees with naive scoring is chosen when the backend is made;
-    ``fallbacks`` says why the faster ones were passed over.
+    ``fallbacks`` says why the faster ones were passed over. Strategy ``trie`` packs rows of
+    ``row_nodes``, and only sequences no longer than the model's attention ``window``, if any.
 
     Raises
     ------
@@ -33,8 +34,11 @@ class CausalBackend:
         self.encoder = encoder
         candidates = _candidates(forward.model.config.get_text_config(), encoder.context)
         self.strategy, self._run, self.fallbacks = choose(candidates, forward, encoder, budget)
+        packing: dict[str, Any] = getattr(self._run, "keywords", {})
+        self.row_nodes: int | None = packing.get("row_nodes")
+        self.window: int | None = packing.get("window")
 
-    def encode(self, sentences: Sequence[str]) -> list[list[int]]:
+    def encode(self, sentences: Sequence[str]) -> list[Sequence[int]]:
         """Token ids of each sentence; see :meth:`Encoder.encode` for what it refuses."""
         return self.encoder.encode(sentences)
 
@@ -46,6 +50,10 @@ class CausalBackend:
         """Log probability in nats of each encoded sentence, ``[sentences]``."""
         sequences, index = sort_sequences(encoded)
         return self._run(self.forward, sequences, budget, meter)[index]
+
+
+# Not `max_window_layers` or `sliding_window_pattern`, which count layers.
+_WINDOW_KEYS = ("window", "window_size", "chunk_size")
 
 
 def _candidates(config: Any, context: int | None) -> list[tuple[str, Strategy]]:
@@ -65,7 +73,7 @@ def _attention_window(config: Any) -> int | None:
     sizes = [
         size
         for key, size in config.to_dict().items()
-        if ("window" in key or "chunk_size" in key) and type(size) is int and size > 0
+        if key.endswith(_WINDOW_KEYS) and type(size) is int and size > 0
     ]
     return min(sizes, default=None)
 

@@ -5,14 +5,14 @@ Pickled weights, which can run code, are refused. Neither torch nor transformers
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import MissingExtraError, ModelError, first_line
+from roomtables.errors import ModelError, first_line, needing
+from roomtables.limits import JSON_BYTES, json_value, read_bytes
 
 EMBEDDED_MODEL = "household-lm"
 EMBEDDED_FOLDER = Path(__file__).parents[1] / "models" / EMBEDDED_MODEL
@@ -40,6 +40,7 @@ HUB_PATTERNS = [
     "model.safetensors.index.json",
     "config.json",
 ]
+_SHARD = re.compile(r"[\w-][\w.-]*\.safetensors")
 PICKLES = ("pytorch_model*.bin", "*.pt", "*.pth", "*.ckpt")
 
 
@@ -53,19 +54,44 @@ class ModelFolder:
     config: dict[str, Any]
     commit: str | None = None
 
+    @property
+    def model_type(self) -> str:
+        """What transformers calls the architecture's family; empty where nothing is said."""
+        found = self.config.get("model_type")
+        return found if isinstance(found, str) else ""
+
+    @property
+    def architecture(self) -> str:
+        """The class that the model was saved from; empty where nothing is said."""
+        match self.config.get("architectures"):
+            case [str() as first, *_]:
+                return first
+            case _:
+                return ""
+
     def weight_files(self) -> list[Path]:
         """The safetensors files that make up the weights, sorted by name.
+
+        As for transformers, weights in one file come before those that an index lists.
 
         Raises
         ------
         ModelError
-            The index of weights in several files cannot be read.
+            The index cannot be read, or lists other than safetensors files of this folder.
         """
+        single = self.path / "model.safetensors"
         index = self.path / "model.safetensors.index.json"
-        if index.is_file():
-            shards = set(_read_json(index, self.name).get("weight_map", {}).values())
-            return [self.path / shard for shard in sorted(shards)]
-        return [file for file in [self.path / "model.safetensors"] if file.is_file()]
+        if single.is_file() or not index.is_file():
+            return [file for file in [single] if file.is_file()]
+        listed = _read_json(index, self.name).get("weight_map")
+        shards: list[Any] = list(listed.values()) if isinstance(listed, dict) else [listed]
+        for shard in shards:
+            if not isinstance(shard, str) or not _SHARD.fullmatch(shard):
+                raise ModelError(
+                    f"{self.name}: {index} lists {str(shard)[:80]!r}; weights are read from "
+                    "safetensors files in the model's own folder alone"
+                )
+        return [self.path / shard for shard in sorted(set(shards))]
 
     def tokenizer_files(self) -> list[Path]:
         """Every file that decides how text becomes tokens, sorted by name."""
@@ -111,6 +137,11 @@ def _checked(model: str, name: str, path: Path, commit: str | None) -> ModelFold
             f"{model}: no config.json in {path}; give --model a folder that save_pretrained() wrote"
         )
     folder = ModelFolder(name, path, _read_json(path / "config.json", model), commit)
+    if "transformers_weights" in folder.config or (path / "adapter_config.json").exists():
+        raise ModelError(
+            f"{model}: {path} takes weights from elsewhere (transformers_weights, or an adapter); "
+            "merge them into one model and save it with save_pretrained()"
+        )
     weights = folder.weight_files()
     if not weights:
         pickled = [file.name for pattern in PICKLES for file in path.glob(pattern)]
@@ -139,7 +170,7 @@ def _pickled(model: str, file: str) -> ModelError:
 
 def _read_json(path: Path, model: str) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_value(read_bytes(path, JSON_BYTES), any_number=True)
     except (OSError, ValueError) as error:
         raise ModelError(f"{model}: cannot read {path}: {error}; fetch the model again") from error
     if not isinstance(content, dict):
@@ -154,11 +185,10 @@ def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
     """
     os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
-    try:
+    with needing(f"the hub model {model}"):
         import huggingface_hub
         from huggingface_hub import errors as hub_errors
-    except ImportError as error:
-        raise MissingExtraError(f"the hub model {model}", "lm") from error
+
     patterns = [*HUB_PATTERNS, *TOKENIZER_FILES, *TOKENIZER_SETTINGS]
     try:
         info = huggingface_hub.HfApi().model_info(

@@ -16,9 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from roomtables.lm.trie import IntArray
-
-FloatArray = npt.NDArray[np.float64]
+from roomtables.packing.sequences import FloatArray, IntArray
 
 # Elements of a block of logits: small enough for a CPU's cache, large enough for a GPU's launch.
 _BLOCK = {"cpu": 1 << 20, "cuda": 1 << 26}
@@ -86,18 +84,19 @@ class Forward:
         -------
         Nats, float64, of the length of ``tokens``.
         """
-        logits = self._logits(inputs, self.tensor(positions))
+        logits = self.logits(inputs, self.tensor(positions))
         return _log_probs(logits, self.tensor(asked), self.tensor(tokens)).cpu().numpy()
 
-    def _logits(self, inputs: Mapping[str, Any], positions: Tensor) -> Tensor:
-        """Logits at ``positions``, shape (positions, vocabulary)."""
+    def logits(self, inputs: Mapping[str, Any], positions: Tensor) -> Tensor:
+        """Logits at ``positions``, shape (positions, vocabulary), in the model's dtype."""
         self._positions = positions
         try:
             logits: Tensor = self.model(**inputs).logits
         finally:
             self._positions = None
         rows, columns = inputs["input_ids"].shape
-        if logits.shape[:2] == (1, len(positions)):
+        # By shape, not by length, which would be a constant of an exported graph.
+        if logits.shape[:2] == (1, positions.shape[0]):
             return logits[0]
         return logits.reshape(rows * columns, -1)[positions]
 

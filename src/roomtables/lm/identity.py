@@ -15,14 +15,14 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import ModelError
+from roomtables.errors import ModelError, needing
+from roomtables.limits import JSON_BYTES, json_value, read_bytes
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
-from roomtables.scorer import DTYPES, SCORINGS
+from roomtables.scorer import DTYPES, SCORING_RULE_VERSION, SCORINGS
+from roomtables.storage.files import sha256_of
 
-SCORING_RULE_VERSION = "1"
-"""Raise it whenever what is scored changes: which tokens, the BOS rule, the masking rule."""
-
-DEVICES = ("cpu", "cuda", "auto")
+DEVICE_CLASSES = ("cpu", "cuda")
+DEVICES = (*DEVICE_CLASSES, "auto")
 
 # Written by a library that saved the files, without any bearing on a score.
 _VOLATILE = {
@@ -73,6 +73,29 @@ def identify(
     return scorer_id(folder, dtype, device_class(device), scoring_kind(folder, scoring))
 
 
+def identities(
+    model: str,
+    *,
+    revision: str | None = None,
+    dtype: str = "float32",
+    scoring: str | None = None,
+) -> tuple[str, ...]:
+    """The ``scorer_id`` of a model on each device class: its identity, device class aside.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be found, or an argument makes no sense.
+    """
+    return on_every_device(resolve(model, revision), dtype, scoring)
+
+
+def on_every_device(folder: ModelFolder, dtype: str, scoring: str | None) -> tuple[str, ...]:
+    """The ``scorer_id`` of a model's folder on each of :data:`DEVICE_CLASSES`; raises as above."""
+    kind = scoring_kind(folder, scoring)
+    return tuple(scorer_id(folder, dtype, device, kind) for device in DEVICE_CLASSES)
+
+
 def scoring_kind(folder: ModelFolder, scoring: str | None) -> str:
     """``scoring`` where it is given, else what the model's configuration says it was trained for.
 
@@ -81,8 +104,7 @@ def scoring_kind(folder: ModelFolder, scoring: str | None) -> str:
     ModelError
         The scoring is unknown, or asks of a model what its kind cannot do.
     """
-    architecture = (folder.config.get("architectures") or [""])[0]
-    model_type = folder.config.get("model_type", "")
+    architecture, model_type = folder.architecture, folder.model_type
     masked = "MaskedLM" in architecture or (not architecture and model_type in _MASKED_TYPES)
     if scoring is None:
         return "pll" if masked else "causal"
@@ -107,7 +129,8 @@ def device_class(device: str) -> str:
         raise ModelError(f"unknown device {device!r}; use one of {', '.join(DEVICES)}")
     if device == "cpu":
         return "cpu"
-    import torch
+    with needing("a language model on this machine's own device"):
+        import torch
 
     if torch.cuda.is_available():
         return "cuda"
@@ -155,7 +178,7 @@ def _content_hash(file: Path) -> str:
     content = file.read_bytes()
     if file.suffix == ".json":
         with contextlib.suppress(ValueError):
-            content = _canonical(_stable(json.loads(content)))
+            content = _canonical(_stable(json_value(content, any_number=True)))
     return hashlib.sha256(content).hexdigest()
 
 
@@ -170,7 +193,7 @@ def _hashes(files: list[Path]) -> dict[str, str]:
         key = f"{file.resolve()}|{stat.st_size}|{stat.st_mtime_ns}|{stat.st_ino}"
         if key not in memo:
             with file.open("rb") as stream:
-                memo[key] = hashlib.file_digest(stream, "sha256").hexdigest()
+                memo[key] = sha256_of(stream)
         hashes[file.name] = memo[key]
     if len(memo) > known:
         _write_memo(memo_path, memo)
@@ -184,7 +207,7 @@ def _memo_path() -> Path:
 
 def _read_memo(path: Path) -> dict[str, str]:
     try:
-        memo = json.loads(path.read_text(encoding="utf-8"))
+        memo = json_value(read_bytes(path, JSON_BYTES))
     except (OSError, ValueError):
         return {}
     return memo if isinstance(memo, dict) else {}

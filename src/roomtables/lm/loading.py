@@ -49,7 +49,8 @@ def load(
     identity = scorer_id(folder, dtype, place, kind)
     _quieten()
     tokenizer = _load_tokenizer(folder)
-    network = _load_network(folder, kind, dtype, place)
+    network = load_network(folder, kind, dtype, place)
+    accelerate(network)
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
     parameters = sum(weight.numel() for weight in network.parameters())
     threads = threads_for(parameters, place)
@@ -112,7 +113,14 @@ def _load_tokenizer(folder: ModelFolder) -> Any:
         ) from error
 
 
-def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any:
+def load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any:
+    """The transformers model of a folder, ready to run without gradients.
+
+    Raises
+    ------
+    ModelError
+        Its architecture is unknown, or its weights are damaged, incomplete or too large.
+    """
     _refuse_foreign_code(folder)
     auto = (
         transformers.AutoModelForCausalLM if kind == "causal" else transformers.AutoModelForMaskedLM
@@ -128,9 +136,7 @@ def _load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> An
                 output_loading_info=True,
             )
             _refuse_missing_weights(folder, report)
-            network.eval().requires_grad_(False).to(device)
-            accelerate(network)
-            return network
+            return network.eval().requires_grad_(False).to(device)
     except RoomtablesError:
         raise
     except Exception as error:  # unknown architecture, damaged weights, shapes that disagree
@@ -154,7 +160,7 @@ def _out_of_memory_named(folder: ModelFolder, dtype: str) -> Iterator[None]:
 
 
 def _refuse_foreign_code(folder: ModelFolder) -> None:
-    model_type = folder.config.get("model_type", "")
+    model_type = folder.model_type
     if model_type in transformers.CONFIG_MAPPING:
         return
     if "auto_map" in folder.config:

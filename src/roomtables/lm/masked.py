@@ -16,11 +16,10 @@ import numpy as np
 
 from roomtables.errors import ModelError
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import agree, in_float32
-from roomtables.lm.strategies import batches_by_length
-from roomtables.lm.trie import IntArray
+from roomtables.packing.sequences import FloatArray, IntArray, batches_by_length
 
 _log = logging.getLogger(__name__)
 
@@ -91,7 +90,7 @@ class MaskedBackend:
             words = batch.word_ids(row) if self.whole_words else []
             if not scored:
                 raise ModelError(f"{self.encoder.name} sees no token to score in {sentence!r}")
-            self.encoder.check(sentence, tokens, fewest=1)
+            self.encoder.limits.check(sentence, tokens, fewest=1)
             encoded.append(MaskedSentence(tokens, scored, words))
         return encoded
 

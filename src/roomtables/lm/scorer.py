@@ -17,9 +17,9 @@ import numpy as np
 import torch
 
 from roomtables.errors import ModelError
-from roomtables.lm.encoding import quoted
-from roomtables.lm.forward import FloatArray
-from roomtables.scorer import SentenceScore
+from roomtables.packing.sequences import FloatArray
+from roomtables.scorer import ONE_THREAD_PARAMETERS, SentenceScore
+from roomtables.token_limits import quoted
 
 _log = logging.getLogger(__name__)
 
@@ -237,14 +237,9 @@ class _Part(Meter):
         self._whole.advance(share * self._part_share, tokens_run)
 
 
-# Below this many parameters a matrix product is shorter than the wait for a second thread: one
-# thread is as fast on an idle machine, and over ten times as fast where another process is busy.
-_WORTH_SHARING = 20_000_000
-
-
 def threads_for(parameters: int, device: str) -> int:
     """Threads for a model of this size: the same on every run, so that scores are too."""
-    return 1 if device == "cpu" and parameters < _WORTH_SHARING else torch.get_num_threads()
+    return 1 if device == "cpu" and parameters < ONE_THREAD_PARAMETERS else torch.get_num_threads()
 
 
 @contextmanager

@@ -15,14 +15,14 @@ import torch
 
 from roomtables.errors import ModelError, first_line
 from roomtables.lm.encoding import Encoder
-from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.strategies import ROW_NODES, Strategy
-from roomtables.lm.trie import IntArray, Sequences, sort_sequences
+from roomtables.packing.sequences import FloatArray, IntArray, Sequences, sort_sequences
+from roomtables.scorer import TOLERANCE_NATS
 
 _log = logging.getLogger(__name__)
 
-TOLERANCE_NATS = 1e-3
 _SAMPLE = 8
 _LARGEST_IN_FLOAT32 = 1_500_000_000  # weights; beyond, the check runs in the model's own dtype
 

@@ -7,25 +7,24 @@ sequence or row does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 from transformers import DynamicCache
 
-from roomtables.lm.forward import FloatArray, Forward
+from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
-from roomtables.lm.trie import (
+from roomtables.packing.sequences import (
+    FloatArray,
     Group,
-    IntArray,
     Sequences,
-    batch_rows,
-    build_trie,
-    cut_rows,
     group_by_prefix,
-    lay_out,
+    padded_batches,
 )
+from roomtables.packing.trie import Layout, build_trie, sum_paths
 
 Strategy = Callable[[Forward, Sequences, int, Meter], FloatArray]
 
@@ -39,35 +38,34 @@ def trie(
 ) -> FloatArray:
     """Every distinct prefix once: the inner nodes of the token trie, in rows of ``row_nodes``."""
     tree = build_trie(sequences)
-    rows = cut_rows(tree, min(row_nodes, budget))
-    edge = np.zeros(len(tree.edge_source) + 1)
-    for batch in batch_rows(rows, budget):
-        layout = lay_out(tree, batch)
-        inputs = {
-            "input_ids": forward.tensor(layout.token),
-            "position_ids": forward.tensor(layout.depth),
-            "attention_mask": _ancestor_mask(forward, layout.end),
-            "use_cache": False,
-        }
-        tokens = tree.edge_token[layout.edges]
-        edge[layout.edges] = forward.read(inputs, layout.positions, layout.asked, tokens)
+
+    def read(layout: Layout) -> FloatArray:
+        token, depth, end = map(forward.tensor, (layout.token, layout.depth, layout.end))
+        inputs = packed_inputs(token, depth, end, forward.dtype)
+        targets = tree.edge_token[layout.edges]
+        log_probs = forward.read(inputs, layout.positions, layout.asked, targets)
         meter.advance(len(layout.edges) / len(tree.edge_source), layout.token.size)
-    # Paths are padded with -1, which is the zero at the end.
-    scores: FloatArray = edge[tree.path].sum(axis=1)
-    return scores
+        return log_probs
+
+    return sum_paths(tree, row_nodes, budget, read)
 
 
-def _ancestor_mask(forward: Forward, end: IntArray) -> Tensor:
-    """Additive mask ``[rows, 1, columns, columns]``: a node sees itself and its ancestors.
+def packed_inputs(token: Tensor, depth: Tensor, end: Tensor, dtype: torch.dtype) -> dict[str, Any]:
+    """A model's keyword arguments for rows of a token trie, each tensor ``[rows, columns]``.
 
-    In preorder those are the earlier columns whose subtree has not ended. Additive in the model's
-    dtype, because a boolean mask is added as 0 and 1 by eager attention, silently.
+    The additive mask lets a node see itself and its ancestors: in preorder those are the earlier
+    columns whose subtree has not ended. It is in the model's ``dtype``, because eager attention
+    adds a boolean mask as 0 and 1, silently.
     """
-    columns = torch.arange(end.shape[1], device=forward.device)
-    ends = forward.tensor(end)
-    sees = (columns[:, None] >= columns) & (columns[:, None] < ends[:, None, :])
-    mask = torch.zeros(sees.shape, dtype=forward.dtype, device=forward.device)
-    return mask.masked_fill_(~sees, torch.finfo(forward.dtype).min)[:, None]
+    columns = torch.arange(end.shape[1], device=end.device)
+    sees = (columns[:, None] >= columns) & (columns[:, None] < end[:, None, :])
+    mask = torch.zeros(sees.shape, dtype=dtype, device=end.device)
+    return {
+        "input_ids": token,
+        "position_ids": depth,
+        "attention_mask": mask.masked_fill(~sees, torch.finfo(dtype).min)[:, None],
+        "use_cache": False,
+    }
 
 
 def key_value(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> FloatArray:
@@ -125,19 +123,15 @@ def _score_group(forward: Forward, sequences: Sequences, group: Group) -> FloatA
 def padded(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> FloatArray:
     """Right-padded batches of sequences of similar length, which every causal model can run."""
     scores = np.empty(len(sequences))
-    for rows in batches_by_length(sequences.lengths, budget):
-        width = int(sequences.lengths[rows].max()) - 1  # the last token is read, never run
-        matrix = sequences.matrix[rows, : width + 1]
-        present = matrix >= 0
+    for batch in padded_batches(sequences, budget):
         inputs = {
-            "input_ids": forward.tensor(np.where(present, matrix, 0)[:, :width]),
-            "attention_mask": forward.tensor(present[:, :width].astype(np.int64)),
+            "input_ids": forward.tensor(batch.token),
+            "attention_mask": forward.tensor(batch.present.astype(np.int64)),
         }
-        line, column = np.nonzero(present[:, 1:])
-        positions = line * width + column
-        log_probs = forward.read(inputs, positions, np.arange(len(line)), matrix[line, column + 1])
-        scores[rows] = np.bincount(line, weights=log_probs, minlength=len(rows))
-        meter.advance(len(rows) / len(sequences), len(rows) * width)
+        asked = np.arange(len(batch.positions))
+        log_probs = forward.read(inputs, batch.positions, asked, batch.target)
+        scores[batch.rows] = np.bincount(batch.line, log_probs, minlength=len(batch.rows))
+        meter.advance(len(batch.rows) / len(sequences), batch.token.size)
     return scores
 
 
@@ -149,13 +143,3 @@ def naive(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> 
         scores[row] = forward.sequence(tokens).sum()
         meter.advance(1 / len(sequences), len(tokens))
     return scores
-
-
-def batches_by_length(lengths: IntArray, budget: int) -> Iterator[IntArray]:
-    """Indices of sequences, longest first, in batches of at most ``budget`` padded tokens."""
-    order = np.argsort(-lengths, kind="stable")
-    start = 0
-    while start < len(order):
-        rows = max(1, budget // int(lengths[order[start]]))
-        yield order[start : start + rows]
-        start += rows

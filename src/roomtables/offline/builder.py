@@ -31,8 +31,9 @@ from roomtables.offline.tables import Reads, Tables
 from roomtables.offline.workspace import Workspace, WorkTable, workspace
 from roomtables.schemas import VERSION_TABLES
 from roomtables.scorer import Scorer
+from roomtables.storage.derived_lookup import derive_lookup
 from roomtables.storage.files import build_lock, utc_now
-from roomtables.storage.lookup_writer import LookupSettings, derive_lookup
+from roomtables.storage.lookup_writer import LookupSettings
 from roomtables.storage.manifest import FileFacts, Manifest, Rate
 from roomtables.storage.removal import remove_left, remove_old
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache

@@ -15,16 +15,21 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from roomtables.config import ALL, AUTO, MISSES, NONE
 from roomtables.errors import ConfigError
 from roomtables.labels import LabelSpace, ObjectLabel, normalise
 from roomtables.rooms import read_room_lines
 from roomtables.sentences import Template
 from roomtables.storage.files import refuse_outside
 from roomtables.storage.lookup import key_bits, pack_keys
+from roomtables.storage.manifest import count_combinations
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.versions import SpaceFolder
 
 Ranks = NDArray[np.int64]
+
+# Query sentences, over all sources, up to which `auto` asks for all combinations.
+MOST_SENTENCES = 2_000_000
 
 
 def check_key_size(objects: int, k: int) -> None:
@@ -39,6 +44,14 @@ def check_key_size(objects: int, k: int) -> None:
         raise ConfigError(
             f"{objects} objects are too many for combinations of {k}; choose a smaller -k"
         )
+
+
+def resolve(combinations: str, labels: LabelSpace, k: int, sources: int) -> str:
+    """The setting, where ``auto`` becomes ``all`` or, of too many sentences, ``misses``."""
+    if combinations != AUTO:
+        return combinations
+    sentences = count_combinations(len(labels.objects), k) * len(labels.predicted_rooms) * sources
+    return ALL if sentences <= MOST_SENTENCES else MISSES
 
 
 def all_combinations(objects: int, k: int) -> Ranks:
@@ -62,11 +75,13 @@ class Asked:
     by_source : per source, the combinations of misses, and those that are published already, as
         numbers ``[n, widest]``: each row ascending, 0 behind the last; rows sorted and distinct
     misses : the misses that were read; ``None`` where they were not
+    known : every name of an object of the label space, normalised
     """
 
     rooms: tuple[tuple[int, ...], ...] = ()
     by_source: Mapping[str, Ranks] = field(default_factory=dict)
     misses: Misses | None = None
+    known: frozenset[str] = frozenset()
 
     @classmethod
     def by_file(cls, combinations: str, labels: LabelSpace) -> Asked:
@@ -77,7 +92,7 @@ class Asked:
         InputError
             The file cannot be read, or is malformed.
         """
-        if combinations in {"all", "none", "misses"}:
+        if combinations in {ALL, NONE, MISSES}:
             return cls()
         numbers = _numbers(labels)
         rooms = {
@@ -92,15 +107,15 @@ class Asked:
         ``misses``: what is published already, and the misses that no build has taken in. A file:
         all misses, taken in or not. ``all``: the misses are among them. ``none``: none.
         """
-        if combinations == "none":
+        if combinations == NONE:
             return self
         space = SpaceFolder(tables, labels.name)
         misses = Misses.read(space.path / FOLDER)
-        if combinations == "all":
-            return replace(self, misses=misses)
+        if combinations == ALL:
+            return replace(self, misses=misses, known=frozenset(labels.object_aliases))
         questions = {(miss.source, miss.objects) for miss in misses.open}
         found: dict[str, list[Ranks]] = {}
-        if combinations == "misses":
+        if combinations == MISSES:
             found = _published(space, labels)
         else:
             questions |= misses.taken
@@ -111,12 +126,13 @@ class Asked:
                 row = np.array([[numbers[label] for label in sorted(set(known))]], np.int64)
                 found.setdefault(source, []).append(row)
         by_source = {source: _distinct(parts) for source, parts in sorted(found.items())}
-        return replace(self, by_source=by_source, misses=misses)
+        names = frozenset(labels.object_aliases)
+        return replace(self, by_source=by_source, misses=misses, known=names)
 
     def take_in_misses(self) -> None:
         """Note that a published version holds the misses that were read."""
         if self.misses is not None:
-            self.misses.take_in()
+            self.misses.take_in(self.known)
 
     def recorded(self) -> list[str]:
         """What was asked for, hashed: for the record of a build's inputs."""

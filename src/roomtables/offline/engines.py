@@ -28,10 +28,10 @@ from tqdm import tqdm
 from roomtables.config import BuildConfig
 from roomtables.errors import (
     ConfigError,
-    MissingExtraError,
     ModelError,
     RoomtablesError,
     first_line,
+    needing,
 )
 from roomtables.offline.inputs import LazyScorer
 from roomtables.offline.scoring import Scored, Work, check_identity, score_locally, scored
@@ -133,10 +133,9 @@ def _import_ray() -> Any:
         It is not installed.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read when Ray is imported
-    try:
+    with needing("`--engine ray`"):
         import ray.data
-    except ImportError as error:
-        raise MissingExtraError("`--engine ray`", "ray") from error
+
     for name in ("ray", "ray.data"):  # they report every step on stderr, over the progress bar
         logging.getLogger(name).setLevel(logging.ERROR)
     return ray

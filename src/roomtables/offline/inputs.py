@@ -12,11 +12,11 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roomtables.config import BuildConfig, load_labels
+from roomtables.config import NONE, BuildConfig, load_labels
 from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, normalise
-from roomtables.offline.combinations import Asked, check_key_size
+from roomtables.offline.combinations import Asked, check_key_size, resolve
 from roomtables.rooms import read_room_lines
 from roomtables.scorer import Scorer
 
@@ -33,6 +33,8 @@ class Inputs:
 
     Attributes
     ----------
+    config : the settings; ``combinations`` is never ``auto``, so that what is recorded is what was
+        built
     counts : times that object and room were seen together; ``None`` where none were given
     scores : S(o, r) in nats that stand in for the model's; ``None`` where none were given
     asked : the combinations that were asked for, where the settings do not want all of them
@@ -55,6 +57,9 @@ class Inputs:
         """
         labels = load_labels(config.labels)
         check_key_size(len(labels.objects), config.k)
+        sources = 1 if config.counts is None else 2
+        wanted = resolve(config.combinations, labels, config.k, sources)
+        config = replace(config, combinations=wanted)
         return cls(
             config,
             labels,
@@ -72,7 +77,7 @@ class Inputs:
         """Whether a stage needs scores of the language model."""
         if stage == "sentence_scores":
             return self.scores is None
-        return stage == "query_scores" and self.config.combinations != "none"
+        return stage == "query_scores" and self.config.combinations != NONE
 
     @property
     def needs_model(self) -> bool:

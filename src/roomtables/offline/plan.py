@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roomtables.config import BuildConfig
+from roomtables.config import ALL, BuildConfig
 from roomtables.offline.inputs import Inputs, LazyScorer
 from roomtables.offline.scoring import missing_sentences
 from roomtables.offline.stages import (
@@ -236,7 +236,7 @@ class _Counting:
         self._sentences[QUERY_SCORES] = unordered + work.count(known)
         if not work.count(undecided):
             return True
-        one_source = self._inputs.counts is None and self._inputs.config.combinations == "all"
+        one_source = self._inputs.counts is None and self._inputs.config.combinations == ALL
         return one_source and unordered == work.count(missing["unordered"])
 
     def _part(self, sentences: WorkTable, kind: str, undecided: WorkTable) -> WorkTable:

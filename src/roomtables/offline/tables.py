@@ -13,6 +13,7 @@ from typing import Any
 
 import duckdb
 
+from roomtables.config import ALL, NONE
 from roomtables.errors import ConfigError, first_line
 from roomtables.labels import names_of_objects
 from roomtables.offline.combinations import all_combinations, query_frames
@@ -184,7 +185,7 @@ def _queries(workspace: Workspace, reads: Reads) -> list[WorkTable]:
     objects, template = reads.value("objects.csv"), Template(reads.value("template")[0])
     k, wanted, asked = reads.value("k"), reads.value("combinations"), reads.value("asked")
     queries = workspace.load(QUERIES, _FRAME, {column.name: [] for column in _FRAME})
-    if wanted == "none":
+    if wanted == NONE:
         return [queries]
     by_label = {o.label: o for o in objects}
     entropy = reads.table("entropy")
@@ -195,7 +196,7 @@ def _queries(workspace: Workspace, reads: Reads) -> list[WorkTable]:
         in_label_order = [rank_of[o.label] for o in objects]
         ranks = (
             all_combinations(len(by_rank), k)
-            if wanted == "all"
+            if wanted == ALL
             else asked.ranked(source, in_label_order, k)
         )
         frames = query_frames(ranks, by_rank, template)

@@ -1,4 +1,7 @@
-"""Keeping a tables folder in order: old versions, score parts, the version before."""
+"""Keeping a tables folder in order: old versions, score parts, the version before.
+
+Where there are no sentence scores, as on a robot, this needs neither duckdb nor pyarrow.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,20 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import duckdb
-
-from roomtables.errors import StoreError
-from roomtables.offline.workspace import speaking_plainly
-from roomtables.schemas import literal
+from roomtables.errors import StoreError, needing
+from roomtables.schemas import SCORES, literal
 from roomtables.storage.aside import REMOVING, remove_folder
 from roomtables.storage.files import build_lock, is_held, refuse_outside, writing
 from roomtables.storage.removal import KEPT_VERSIONS, remove_left, remove_old, size_of
-from roomtables.storage.score_cache import SentenceCache
-from roomtables.storage.score_parts import SCORES
 from roomtables.storage.versions import CURRENT, STAGING, SpaceFolder, Version
 
 _LEFT = "left by a killed process"
 _SPILL = ".spill"  # where a merge of parts puts what does not fit into memory
+
+if TYPE_CHECKING:
+    from roomtables.storage.score_cache import SentenceCache
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,11 @@ def compact(tables: Path) -> list[Compacted]:
     StoreError
         There is no such folder, another process builds in it, or a part is damaged.
     """
+    with needing("merging score parts"):
+        import duckdb
+
+        from roomtables.offline.workspace import speaking_plainly
+
     _require(tables)
     done = []
     with build_lock(tables):
@@ -141,6 +147,11 @@ def _spaces(tables: Path) -> Iterator[SpaceFolder]:
 def _caches(tables: Path) -> list[SentenceCache]:
     folders = sorted(path for path in (tables / SCORES).glob("[!.]*") if path.is_dir())
     refuse_outside(tables, tables / SCORES, *folders)
+    if not folders:  # as on a robot, which has no pyarrow either
+        return []
+    with needing("looking after sentence scores"):
+        from roomtables.storage.score_cache import SentenceCache
+
     return [SentenceCache(tables, folder.name) for folder in folders]
 
 

@@ -12,15 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roomtables.errors import ConfigError, StoreError
-from roomtables.labels import RoomLabel, normalise
+from roomtables.labels import RoomLabel
+from roomtables.names import NameReader, as_spoken
 from roomtables.online import rules
 from roomtables.online.decider import Decider
 from roomtables.online.decision import Decision
 from roomtables.online.model import QueryModel
 from roomtables.online.model_pass import ModelPass, Question
-from roomtables.online.names import UNLISTED, Vocabulary, as_names
+from roomtables.online.names import UNLISTED, as_names
 from roomtables.online.prediction import TABLE, Prediction, Predictions
 from roomtables.online.ranks import ABSENT, RankedRooms
 from roomtables.rooms import COUNTS, Room
@@ -28,6 +30,7 @@ from roomtables.schemas import POOLED
 from roomtables.scorer import Scorer
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.misses import FOLDER, MissLog
+from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 # What a decision takes from the build's settings where nothing else is said.
@@ -45,6 +48,7 @@ class RoomTables:
     version : the published version that was opened
     lookup : its mapped lookup
     decision : how rooms are decided
+    names : what reads the names of objects
     """
 
     def __init__(
@@ -54,22 +58,24 @@ class RoomTables:
         model: QueryModel,
         decision: Decision,
         misses: MissLog | None = None,
+        names: NameReader | None = None,
     ) -> None:
         self.version = version
         self.lookup = lookup
         self.decision = decision
+        self.names = names or NameReader(lookup.object_names())
         self._model = model
         self._misses = misses
-        self._decider = Decider(lookup, decision, model)
+        self._decider = Decider.choose(lookup, decision, model, self.names)
         self._model_pass = ModelPass(self._decider, model, misses)
-        self._vocabulary = Vocabulary(lookup.object_aliases, self._decider.ranks())
+        self._vocabulary = self._decider.vocabulary
         self._rank_of = self._vocabulary.__getitem__
 
     @classmethod
     def open(
         cls,
         tables: str | Path = "tables",
-        labels: str = "mpcat40",
+        labels: str | None = None,
         *,
         scorer: Scorer | None = None,
         offline: bool = False,
@@ -82,14 +88,15 @@ class RoomTables:
         Parameters
         ----------
         tables : the tables folder, or the folder that an export was unpacked into
-        labels : the label space's name, or its folder, whose base name is its name
+        labels : the label space's name, or its folder, whose base name is its name; by default
+            ``household`` where it is published, else the only one that is
         scorer : a language model for misses; by default the one the tables were built with
         offline : never load a language model
         verify : read and hash every byte of the lookup files first
         note_misses : append to ``misses/`` each combination that no table holds
         decision : ``rule``, ``source``, ``prior_weight`` (λ), ``evidence_power`` (γ), ``rooms``
-            (candidates), ``temperature``, ``min_probability``; what is absent is as the build's
-            settings say
+            (candidates), ``temperature``, ``min_probability``, ``backoff``; what is absent is as
+            the build's settings say
 
         Raises
         ------
@@ -98,10 +105,10 @@ class RoomTables:
         InputError
             A candidate room is unknown and no model may be asked about it.
         """
-        space = _space(Path(tables), Path(labels).name)
+        space = _space(Path(tables), labels)
         version, lookup = _open_published(space, verify)
         misses = MissLog(space.path / FOLDER) if note_misses else None
-        model = QueryModel(version.manifest, scorer, allowed=not offline)
+        model = QueryModel(version.manifest, scorer, not offline, version.path)
         built = version.manifest.settings
         settings: dict[str, Any] = {name: getattr(built, name) for name in _SETTINGS}
         settings |= {name: value for name, value in decision.items() if value is not None}
@@ -110,7 +117,9 @@ class RoomTables:
     def deciding(self, **changes: Any) -> RoomTables:
         """The same tables and model under another rule, source, λ, γ or candidates."""
         decision = replace(self.decision, **changes)
-        return RoomTables(self.version, self.lookup, self._model, decision, self._misses)
+        return RoomTables(
+            self.version, self.lookup, self._model, decision, self._misses, self.names
+        )
 
     @property
     def candidates(self) -> tuple[RoomLabel, ...]:
@@ -131,11 +140,13 @@ class RoomTables:
         if UNLISTED in ranks:
             ranks.discard(UNLISTED)
             unlisted = self._vocabulary.unlisted(names)
-        answer = self._answer(sorted(ranks), unlisted)
+        answer = self._answer(sorted(ranks), unlisted, names)
         return answer.unless_unsure() if self.decision.min_probability else answer
 
     def classify_many(self, rooms: Iterable[Iterable[str]]) -> Predictions:
         """Label rooms; whatever no table holds is scored in one batched pass of the model.
+
+        Without a model, rule ``pooled`` decides those rooms, all at once.
 
         Raises
         ------
@@ -146,41 +157,65 @@ class RoomTables:
         ranked = RankedRooms.of(names, self._vocabulary)
         best = self._decider.best_of_many(ranked)
         unlisted = {at: self._vocabulary.unlisted(names[at]) for at in ranked.with_unlisted()}
-        for_model = set(np.flatnonzero(best == ABSENT).tolist())
+
+        def question(at: int) -> Question:
+            return Question(ranked.listed(at), unlisted.get(at, {}), names[at])
+
+        for_model: set[int] = set()
         if any(unlisted.values()) and self._model_pass.ranks_unlisted():
             for_model.update(at for at, spelled in unlisted.items() if spelled)
+        missed = self._missed(ranked, best)
+        backed_off: set[int] = set()
+        if len(missed) and self._model_pass.has_model():
+            for_model.update(missed.tolist())
+        elif len(missed):
+            best[missed] = self._model_pass.back_off_many(ranked.only(missed))
+            backed_off.update(missed.tolist())
         asked = sorted(for_model)
-        questions = [Question(ranked.listed(at), unlisted.get(at, {})) for at in asked]
-        answers = dict(zip(asked, self._model_pass.answer(questions), strict=True))
+        answers: dict[int, Prediction] = dict(
+            zip(asked, self._model_pass.answer(map(question, asked)), strict=True)
+        )
 
         def predict(at: int) -> Prediction:
             if at in answers:
                 return answers[at]
-            return self._answer(ranked.listed(at), unlisted.get(at, {}))
+            if at in backed_off:
+                return self._model_pass.back_off(question(at))
+            return self._answer(*question(at))
 
-        room_names = self._decider.candidates.names
-        labels: list[str | None] = [room_names[place] for place in best.tolist()]
-        for at, answer in answers.items():  # among them all that are absent from the tables
+        room_names = (*self._decider.candidates.names, None)  # ABSENT is the last
+        labels = [room_names[place] for place in best.tolist()]
+        for at, answer in answers.items():
             labels[at] = answer.room
         if self.decision.min_probability:
             sure = [predict(at).unless_unsure() for at in range(len(labels))]
             return Predictions([prediction.room for prediction in sure], sure.__getitem__)
         return Predictions(labels, predict)
 
-    def _answer(self, ranks: Sequence[int], unlisted: Mapping[str, str]) -> Prediction:
+    def _missed(self, ranked: RankedRooms, best: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The rooms that have a listed object, and no answer in the tables."""
+        absent = np.flatnonzero(best == ABSENT)
+        if not len(absent):
+            return absent
+        return absent[ranked.only(absent).most_informative(1)[:, 0] > 0]
+
+    def _answer(
+        self, ranks: Sequence[int], unlisted: Mapping[str, str], given: tuple[str, ...]
+    ) -> Prediction:
         """The answer for listed objects, by rank ascending, and names that no table lists."""
         ask = unlisted and self._model_pass.ranks_unlisted()
         compared = None if ask else self._decider.compare(ranks)
         if compared is None:
-            return self._model_pass.answer([Question(ranks, unlisted)])[0]
+            return self._model_pass.answer([Question(ranks, unlisted, given)])[0]
         room = self._decider.best_room(compared)
-        return Prediction(self._decider, room, TABLE, ranks, tuple(unlisted.values()), compared)
+        unknown = tuple(unlisted.values())
+        return Prediction(self._decider, room, TABLE, ranks, given, unknown, compared)
 
 
-def _space(tables: Path, labels: str) -> SpaceFolder:
-    unpacked = tables / "tables"
-    inside = not (tables / labels).is_dir() and (unpacked / labels).is_dir()
-    return SpaceFolder(unpacked if inside else tables, labels)
+def _space(tables: Path, labels: str | None) -> SpaceFolder:
+    """The label space's folder under a tables folder, or under what an export was unpacked into."""
+    space, unpacked = find_space(tables, labels), find_space(tables / "tables", labels)
+    return unpacked if unpacked.path.is_dir() and not space.path.is_dir() else space
 
 
 def _open_published(space: SpaceFolder, verify: bool) -> tuple[Version, Lookup]:
@@ -232,7 +267,7 @@ def classify_rooms(
         raise ConfigError(
             f"weights act on rule {POOLED}, not {tables.decision.rule}; add `--rule {POOLED}`"
         )
-    factors = [_factors(room, weights, tables.lookup.object_aliases) for room in rooms]
+    factors = [_factors(room, weights, tables.names) for room in rooms]
     predictions = tables.classify_many([room.objects for room in rooms])
     return [
         prediction.weighed(of_room).unless_unsure()
@@ -240,12 +275,12 @@ def classify_rooms(
     ]
 
 
-def _factors(room: Room, weights: str, aliases: Mapping[str, str]) -> dict[str, float]:
+def _factors(room: Room, weights: str, names: NameReader) -> dict[str, float]:
     """The factor of each object's weight, by label."""
     measured: dict[str, list[float]] = defaultdict(list)
     for name, value in zip(room.objects, room.measured(weights), strict=True):
-        spelled = normalise(name)
-        measured[aliases.get(spelled, spelled)].append(value)
+        found = names.read(name)
+        measured[as_spoken(name) if found is None else found.label].append(value)
     if weights == COUNTS:
         return {label: rules.count_factor(sum(values)) for label, values in measured.items()}
     return {label: max(values) for label, values in measured.items()}

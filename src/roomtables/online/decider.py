@@ -8,8 +8,8 @@ SQL is a macro in ``pipeline/macros``, with a line in ``decided.sql``;
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from roomtables.errors import StoreError
 from roomtables.labels import ObjectLabel
+from roomtables.names import NameReader
 from roomtables.online import rules
 from roomtables.online.decision import Candidates, Decision
 from roomtables.online.model import QueryModel
+from roomtables.online.names import UNLISTED, Vocabulary
 from roomtables.online.ranks import ABSENT, RankedRooms, ScoreRows
 from roomtables.schemas import CALIBRATED, POOLED
 from roomtables.storage.lookup import Lookup
@@ -73,37 +75,61 @@ class Decider:
     decision : how to decide
     lookup : the tables
     candidates : the rooms that may be the answer
+    vocabulary : name → rank
     pools : whether the rule is ``pooled``, which takes all objects and needs no query sentence
-
-    Raises
-    ------
-    StoreError
-        The tables hold no such source.
-    InputError
-        A candidate room is unknown and no model may be asked about it.
     """
 
-    def __init__(self, lookup: Lookup, decision: Decision, model: QueryModel) -> None:
+    def __init__(
+        self, lookup: Lookup, decision: Decision, candidates: Candidates, vocabulary: Vocabulary
+    ) -> None:
+        self.decision = decision
+        self.lookup = lookup
+        self.candidates = candidates
+        self.vocabulary = vocabulary
+        self.pools = decision.rule == POOLED
+        self._arrays = lookup.sources[decision.source]
+        self._rows = ScoreRows(self._arrays, lookup.k, candidates.columns)
+        # rank - 1 → number of the object
+        self._numbers: list[int] = np.argsort(self._arrays.ranks).tolist()
+        calibrates = decision.rule == CALIBRATED
+        self._offset = decision.prior_weight * candidates.bias if calibrates else None
+
+    @classmethod
+    def choose(
+        cls, lookup: Lookup, decision: Decision, model: QueryModel, reader: NameReader
+    ) -> Decider:
+        """The tables of the decision's source, and its candidate rooms.
+
+        Raises
+        ------
+        StoreError
+            The tables hold no such source.
+        InputError
+            A candidate room is unknown and no model may be asked about it.
+        """
         if decision.source not in lookup.sources:
             raise StoreError(
                 f"the tables of {model.labels} hold no source {decision.source!r} "
                 f"(only {', '.join(lookup.sources)}); run `roomtables build --counts FILE.csv`"
             )
-        self.decision = decision
-        self.lookup = lookup
-        self.candidates = Candidates.choose(lookup, decision.source, decision.rooms, model)
-        self.pools = decision.rule == POOLED
-        self._arrays = lookup.sources[decision.source]
-        self._rows = ScoreRows(self._arrays, lookup.k, self.candidates.columns)
-        # rank - 1 → number of the object
-        self._numbers: list[int] = np.argsort(self._arrays.ranks).tolist()
-        calibrates = decision.rule == CALIBRATED
-        self._offset = decision.prior_weight * self.candidates.bias if calibrates else None
+        candidates = Candidates.choose(lookup, decision.source, decision.rooms, model)
+        labels = (listed.label for listed in lookup.objects)
+        ranks = zip(labels, lookup.sources[decision.source].ranks.tolist(), strict=True)
+        return cls(lookup, decision, candidates, Vocabulary(reader, dict(ranks)))
 
-    def ranks(self) -> dict[str, int]:
-        """Object label → rank."""
-        labels = (listed.label for listed in self.lookup.objects)
-        return dict(zip(labels, self._arrays.ranks.tolist(), strict=True))
+    @cached_property
+    def backoff(self) -> Decider | None:
+        """Decides by rule ``pooled`` where this one lacks a row; ``None`` if that is not wanted."""
+        if self.pools or not self.decision.backoff:
+            return None
+        pooled = replace(self.decision, rule=POOLED)
+        return BackoffDecider(self.lookup, pooled, self.candidates, self.vocabulary)
+
+    def read_as(self, names: Iterable[str]) -> dict[str, str]:
+        """The objects that names stand for, by name, but for names that are the labels."""
+        ranked = ((name, self.vocabulary[name]) for name in names)
+        labels = {name: self.label(rank).label for name, rank in ranked if rank != UNLISTED}
+        return {name: label for name, label in labels.items() if name != label}
 
     def compare(self, ranks: Sequence[int]) -> NDArray[np.floating] | None:
         """What the rule compares for listed objects, their ranks ascending: ``[candidates]``, nats.
@@ -143,7 +169,7 @@ class Decider:
 
     def pick(self, ranks: Sequence[int], unlisted: Sequence[UnlistedObject]) -> list[ObjectLabel]:
         """The k most informative objects, in the order in which a query sentence names them."""
-        keyed = [(self._rank_key(rank), self._label(rank)) for rank in ranks[: self.lookup.k]]
+        keyed = [(self._rank_key(rank), self.label(rank)) for rank in ranks[: self.lookup.k]]
         keyed += [(named.rank_key, named.label) for named in unlisted]
         return [label for _, label in sorted(keyed, key=lambda pair: pair[0])[: self.lookup.k]]
 
@@ -182,9 +208,14 @@ class Decider:
         adjusted = rules.adjusted(room_logits, self.candidates.bias, weight)
         return adjusted, rules.evidence_weights(adjusted, decision.evidence_power)
 
-    def _label(self, rank: int) -> ObjectLabel:
+    def label(self, rank: int) -> ObjectLabel:
+        """The listed object of a rank."""
         return self.lookup.objects[self._numbers[rank - 1]]
 
     def _rank_key(self, rank: int) -> tuple[float, str]:
         number = self._numbers[rank - 1]
-        return rules.rank_key(float(self._arrays.entropy[number]), self._label(rank).label)
+        return rules.rank_key(float(self._arrays.entropy[number]), self.label(rank).label)
+
+
+class BackoffDecider(Decider):
+    """Stands in, by rule ``pooled``, for a decider whose tables lack a combination."""

@@ -34,6 +34,8 @@ class Decision:
     temperature : divides what the rule compares before it becomes probabilities; ``auto`` is the
         sum of the objects' weights under rule ``pooled``, and 1 under the others
     min_probability : a room whose answer is less probable gets none
+    backoff : whether rule ``pooled`` decides where the tables lack what another rule needs, and
+        there is no model to ask
 
     Raises
     ------
@@ -48,6 +50,7 @@ class Decision:
     rooms: tuple[str, ...] = ()
     temperature: float | Literal["auto"] = 1.0
     min_probability: float = 0.0
+    backoff: bool = True
 
     def __post_init__(self) -> None:
         if self.rule not in RULES:

@@ -2,7 +2,8 @@
 
 On a miss, the combination is noted in the ``misses`` folder for the next build, and the language
 model, where there is one, scores its query sentence for each candidate room, together with those of
-all the other rooms that were asked about. Without a model the room stays unanswered.
+all the other rooms that were asked about. Without a model rule ``pooled`` decides, from the tables
+of single objects, unless the decision forbids that.
 """
 
 from __future__ import annotations
@@ -10,11 +11,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from roomtables.english import can_inflect
 from roomtables.labels import ObjectLabel
+from roomtables.names import as_spoken
 from roomtables.online import rules
 from roomtables.online.decider import Decider, UnlistedObject
 from roomtables.online.model import QueryModel
 from roomtables.online.prediction import LM, NONE, TABLE, Prediction
+from roomtables.online.ranks import ABSENT, RankedRooms
 from roomtables.schemas import PROXY
 from roomtables.storage.misses import MissLog
 
@@ -30,10 +37,12 @@ class Question(NamedTuple):
     ----------
     ranks : of its listed objects, ascending
     unlisted : names that no table lists: normalised → as given
+    given : all the names
     """
 
     ranks: Sequence[int]
     unlisted: Mapping[str, str]
+    given: tuple[str, ...]
 
 
 class ModelPass:
@@ -54,22 +63,44 @@ class ModelPass:
     def ranks_unlisted(self) -> bool:
         """Whether unlisted objects can be ranked among the listed ones; loads the model.
 
-        Only the model whose scores the tables hold can do that: another's are not comparable.
+        Only the model whose scores the tables hold can do that: another's are not comparable. Its
+        sentences need the objects' plurals.
         """
         proxy = self._decider.decision.source == PROXY
-        return proxy and self._model.extends_tables and self._model.load() is not None
+        comparable = proxy and self._model.extends_tables
+        return comparable and self.has_model() and can_inflect()
 
-    def answer(self, questions: Sequence[Question]) -> list[Prediction]:
+    def has_model(self) -> bool:
+        """Whether there is a model to ask; loads it."""
+        return self._model.load() is not None
+
+    def answer(self, asked: Iterable[Question]) -> list[Prediction]:
         """Predictions in the order of the questions, in two passes of the model at most."""
-        names = [_askable(question.unlisted) for question in questions]
+        questions = list(asked)
+        names = [_askable(question.unlisted.values()) for question in questions]
         if not (any(names) and self.ranks_unlisted()):
             names = [[] for _ in questions]
         ranked = self._rank({name for of_room in names for name in of_room})
         rooms = [
-            self._unanswered(question, {name: ranked[name] for name in of_room})
+            self._unanswered(question, {name: ranked[name] for name in of_room if name in ranked})
             for question, of_room in zip(questions, names, strict=True)
         ]
         return [self._pool(room) for room in rooms] if self._decider.pools else self._query(rooms)
+
+    def back_off(self, question: Question) -> Prediction:
+        """The answer that a room gets without a model; its miss is not noted once more."""
+        return self._back_off(self._unanswered(question, {}))
+
+    def back_off_many(self, missed: RankedRooms) -> NDArray[np.int64]:
+        """The number of the best candidate of rooms that no table answers, without a model.
+
+        Their misses are noted; ``ABSENT`` where the decision forbids to back off.
+        """
+        decider = self._decider
+        picked = missed.most_informative(decider.lookup.k).tolist()
+        self._note([[decider.label(rank).label for rank in row if rank] for row in picked])
+        backoff = decider.backoff
+        return np.full(len(picked), ABSENT) if backoff is None else backoff.best_of_many(missed)
 
     def _rank(self, names: Iterable[str]) -> dict[str, UnlistedObject]:
         """Score the single-object sentences of unlisted names, in one pass, and rank them."""
@@ -86,9 +117,12 @@ class ModelPass:
         return ranked
 
     def _unanswered(self, question: Question, ranked: Mapping[str, UnlistedObject]) -> Prediction:
-        unknown = tuple(given for name, given in question.unlisted.items() if name not in ranked)
+        names = question.unlisted.values()
+        unknown = tuple(name for name in names if as_spoken(name) not in ranked)
         unlisted = tuple(ranked.values())
-        return Prediction(self._decider, None, NONE, question.ranks, unknown, unlisted=unlisted)
+        return Prediction(
+            self._decider, None, NONE, question.ranks, question.given, unknown, unlisted=unlisted
+        )
 
     def _pool(self, room: Prediction) -> Prediction:
         """Rule ``pooled``: the evidence of all the room's objects, added up."""
@@ -101,25 +135,31 @@ class ModelPass:
         """Rules ``query`` and ``calibrated``: the query sentence's scores, looked up or asked."""
         answers = [self._look_up(room) for room in rooms]
         missed = [at for at, room in enumerate(rooms) if room is answers[at] and room.objects]
-        self._note_misses([rooms[at] for at in missed])
+        self._note([rooms[at].objects for at in missed if _picks_listed(rooms[at])])
         candidates = self._decider.candidates.rooms
         sentences = [
             (self._decider.pick(rooms[at].ranks, rooms[at].unlisted), candidates) for at in missed
         ]
         scores = self._model.score(sentences) if sentences else None
-        for at, row in zip(missed, scores or (), strict=False):
-            answers[at] = rooms[at].answered(self._decider.calibrate(row), LM)
+        for place, at in enumerate(missed):
+            if scores is None:
+                answers[at] = self._back_off(rooms[at])
+            else:
+                answers[at] = rooms[at].answered(self._decider.calibrate(scores[place]), LM)
         return answers
+
+    def _back_off(self, room: Prediction) -> Prediction:
+        backoff = self._decider.backoff
+        return room if backoff is None else room.backed_off_by(backoff)
 
     def _look_up(self, room: Prediction) -> Prediction:
         """The room answered from the tables, or as it was where they lack the combination."""
         compared = self._decider.compare(room.ranks) if _picks_listed(room) else None
         return room if compared is None else room.answered(compared, TABLE)
 
-    def _note_misses(self, rooms: Sequence[Prediction]) -> None:
+    def _note(self, combinations: Iterable[Sequence[str]]) -> None:
         """Note combinations of listed objects, which a build can put into the tables."""
         if self._misses is not None and self._decider.candidates.in_tables:
-            combinations = [room.objects for room in rooms if _picks_listed(room)]
             self._misses.note(self._decider.decision.source, combinations)
 
 
@@ -129,5 +169,6 @@ def _picks_listed(room: Prediction) -> bool:
 
 
 def _askable(unlisted: Iterable[str]) -> list[str]:
-    """The unlisted names of a room that the model is asked about."""
-    return [name for name in unlisted if len(name) <= _LONGEST_NAME][:_MOST_UNLISTED]
+    """The unlisted names of a room that the model is asked about, as a sentence says them."""
+    names = dict.fromkeys(as_spoken(name) for name in unlisted if len(name) <= _LONGEST_NAME)
+    return [name for name in names if any(map(str.isalpha, name))][:_MOST_UNLISTED]

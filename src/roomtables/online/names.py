@@ -2,37 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 from roomtables.errors import InputError
 from roomtables.labels import normalise
+from roomtables.names import NameReader
 
 UNLISTED = 0
-_REMEMBERED = 50_000  # spellings, so that no stream of names fills the memory
+# Spellings that are remembered, and the longest: no stream of names fills the memory.
+_REMEMBERED = 50_000
+_LONGEST = 200
 
 
 class Vocabulary(dict[str, int]):
     """Name → rank of the object it names (1 = most informative), or ``UNLISTED``.
 
-    A new spelling is normalised and remembered, so that it costs one look-up the next time. Threads
-    may share one: all they can do is remember the same twice.
+    A new spelling is read and remembered, so that it costs one look-up the next time. Threads may
+    share one: all they can do is remember the same twice.
 
     Parameters
     ----------
-    aliases : normalised name → label
+    reader : what reads names
     ranks : label → rank
     """
 
-    def __init__(self, aliases: Mapping[str, str], ranks: Mapping[str, int]) -> None:
-        super().__init__((spelled, ranks[label]) for spelled, label in aliases.items())
-        self._listed = dict(self)
+    def __init__(self, reader: NameReader, ranks: Mapping[str, int]) -> None:
+        super().__init__((name, ranks[found.label]) for name, found in reader.names.items())
+        self._reader = reader
+        self._ranks = ranks
         self._full = len(self) + _REMEMBERED
 
     def __missing__(self, name: object) -> int:
         if not isinstance(name, str):
             raise InputError(f"objects must be strings, not {name!r}; give the names of objects")
-        rank = self._listed.get(normalise(name), UNLISTED)
-        if len(self) < self._full:
+        found = self._reader.read(name)
+        rank = UNLISTED if found is None else self._ranks[found.label]
+        if len(self) < self._full and len(name) <= _LONGEST:
             self[name] = rank
         return rank
 
@@ -45,8 +50,8 @@ class Vocabulary(dict[str, int]):
         return unlisted
 
 
-def as_names(objects: Iterable[str]) -> Sequence[str]:
-    """The objects of one room, in a sequence.
+def as_names(objects: Iterable[str]) -> tuple[str, ...]:
+    """The objects of one room; what a caller does with their list later changes nothing.
 
     Raises
     ------
@@ -55,4 +60,4 @@ def as_names(objects: Iterable[str]) -> Sequence[str]:
     """
     if isinstance(objects, str):
         raise InputError(f"objects must be a list of names, not {objects!r}; give [{objects!r}]")
-    return objects if isinstance(objects, list | tuple) else list(objects)
+    return tuple(objects)

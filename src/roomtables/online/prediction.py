@@ -9,7 +9,12 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from roomtables.online.decider import Decider, UnlistedObject, WeighedObjects
+from roomtables.online.decider import (
+    BackoffDecider,
+    Decider,
+    UnlistedObject,
+    WeighedObjects,
+)
 from roomtables.online.decision import AUTO
 from roomtables.online.rules import log_softmax
 
@@ -57,10 +62,11 @@ class Prediction:
 
     Attributes
     ----------
-    decider : the tables under the decision that was asked for, which can explain the answer
+    decider : the tables under the decision that was made, which can explain the answer
     room : the label, or ``None`` where nothing can answer, or the answer is too unsure
     answered_by : ``table``, ``lm`` or ``none``
     ranks : of the room's listed objects, ascending
+    given : the names of the room's objects
     unknown_objects : names, as given, that nothing could make use of
     compared : ``[candidates]``, what the rule compared, in nats; ``None`` if unanswered
     unlisted : the room's objects that only the model knows
@@ -72,6 +78,7 @@ class Prediction:
     room: str | None
     answered_by: str
     ranks: Sequence[int]
+    given: tuple[str, ...]
     unknown_objects: tuple[str, ...] = ()
     compared: NDArray[np.floating[Any]] | None = None
     unlisted: tuple[UnlistedObject, ...] = ()
@@ -82,6 +89,16 @@ class Prediction:
     def rule(self) -> str:
         """The rule that decided."""
         return self.decider.decision.rule
+
+    @property
+    def backed_off(self) -> bool:
+        """Whether rule ``pooled`` decided, because nothing could answer by the rule asked for."""
+        return isinstance(self.decider, BackoffDecider)
+
+    @property
+    def read_as(self) -> dict[str, str]:
+        """Given name → label of the listed object, for each name that is not itself the label."""
+        return self.decider.read_as(self.given)
 
     @property
     def source(self) -> str:
@@ -156,6 +173,13 @@ class Prediction:
         room = self.decider.best_room(compared)
         return replace(self, room=room, compared=compared, answered_by=answered_by, reason=None)
 
+    def backed_off_by(self, decider: Decider) -> Prediction:
+        """The same room, answered from the tables by the decider that backs another off."""
+        compared = decider.compare(self.ranks)
+        if compared is None:
+            return self
+        return replace(self, decider=decider, unlisted=()).answered(compared, TABLE)
+
     def weighed(self, factors: Mapping[str, float]) -> Prediction:
         """The same room under rule ``pooled`` with objects' weights times a factor, by label."""
         if self.compared is None:
@@ -190,6 +214,7 @@ class Prediction:
             "rule": self.rule,
             "source": self.source,
             "answered_by": self.answered_by,
+            "read_as": self.read_as,
             **unsure,
         }
 

@@ -139,6 +139,12 @@ class RankedRooms:
         end = int(self._ends[room])
         return sorted({*self.ranks[end - int(self.lengths[room]) : end].tolist()} - {UNLISTED})
 
+    def only(self, rooms: NDArray[np.int64]) -> RankedRooms:
+        """Some of the rooms, by number, ascending."""
+        chosen = np.zeros(len(self.lengths), bool)
+        chosen[rooms] = True
+        return RankedRooms(self.ranks[np.repeat(chosen, self.lengths)], self.lengths[rooms])
+
     def with_unlisted(self) -> list[int]:
         """The rooms that have an object which no table lists."""
         places = np.flatnonzero(self.ranks == UNLISTED)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from queue import Empty, Full, Queue
 from typing import Any, Protocol
 
-from roomtables.errors import InputError, MissingExtraError, RoomtablesError
+from roomtables.errors import InputError, RoomtablesError, needing
 from roomtables.online.classifier import RoomTables
 from roomtables.online.prediction import LM, NONE, Prediction
 from roomtables.schemas import POOLED
@@ -107,7 +107,7 @@ class Labeller:
         answer = self._answers.get(objects)
         if answer is None:
             answer = self._tables.classify(sorted(objects))
-            if answer.answered_by == NONE and objects:
+            if (answer.answered_by == NONE or answer.backed_off) and objects:
                 self._ask_later(objects)
                 answer = self._pooled.classify(sorted(objects))
             self._remember(objects, answer)
@@ -283,10 +283,8 @@ class Service:
 
 
 def _zmq() -> Any:
-    try:
+    with needing("serving scene graphs"):
         return importlib.import_module("zmq")
-    except ImportError as error:
-        raise MissingExtraError("serving scene graphs", "scene-graphs") from error
 
 
 def _how(answer: Prediction) -> str:

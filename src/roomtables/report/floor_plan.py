@@ -9,18 +9,20 @@ from __future__ import annotations
 import html
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import InputError, MissingExtraError
+from roomtables.errors import InputError, needing
 from roomtables.labels import normalise
-from roomtables.scenes.scene import Box, Scene, SceneRoom
+from roomtables.scenes.scene import Box, Point, Scene, SceneRoom
 from roomtables.storage.files import write_aside
 
 _SUFFIXES = (".html", ".png", ".svg")
 _RIGHT, _WRONG, _UNJUDGED = "#1b7f3b", "#c0392b", "#4a6fa5"
 _STOREY = 1.5  # metres between two storeys at least
-_MARGIN = 0.5  # metres around the objects of a room that has no box
+_MARGIN = 0.5  # metres around what stands for a room that has no box
 _MOST_LABELS = 400  # objects beyond this stay dots: their labels would cover one another
 
 Answers = Mapping[str, tuple[str, float]]  # by room id: a label, and its probability
@@ -38,21 +40,19 @@ def needs_matplotlib(output: Path) -> None:
     """
     if output.suffix.lower() not in _SUFFIXES:
         raise InputError(f"{output}: a floor plan is {', '.join(_SUFFIXES)}; name the file so")
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("drawing a floor plan", "report") from error
+    with needing("drawing a floor plan"):
+        import_module("matplotlib")
 
 
-def draw(scene: Scene, answers: Answers, output: Path) -> None:
-    """Draw a scene; the suffix of ``output`` says how.
+def draw(scene: Scene, answers: Answers, output: Path) -> int:
+    """Draw a scene; the suffix of ``output`` says how. Returns how many rooms have a place in it.
 
     Raises
     ------
     InputError
-        No room has a box, nor objects with positions.
+        No room has a box, a position, or objects with positions.
     """
-    rooms = {room.room_id: room for room in scene.rooms}
+    rooms = {room.room_id: room for room in _placed(list(scene.rooms))}
     boxes = {key: box for key, room in rooms.items() if (box := _room_box(room)) is not None}
     if not boxes:
         raise InputError(f"{scene.name}: neither boxes nor positions to draw; give a scene graph")
@@ -61,13 +61,36 @@ def draw(scene: Scene, answers: Answers, output: Path) -> None:
     if kind == "html":
         picture = _page(scene.name, list(rooms.values()), answers, picture.decode()).encode()
     write_aside(output, picture)
+    return len(boxes)
+
+
+def _placed(rooms: Sequence[SceneRoom]) -> list[SceneRoom]:
+    """The rooms without the positions that nobody set: where all are the origin, none was."""
+    things = [thing for room in rooms for thing in room.objects]
+    if not _are_set([thing.position for thing in things]):
+        rooms = [
+            replace(room, objects=tuple(replace(thing, position=None) for thing in room.objects))
+            for room in rooms
+        ]
+    if not _are_set([room.position for room in rooms]):
+        rooms = [replace(room, position=None) for room in rooms]
+    return list(rooms)
+
+
+def _are_set(positions: Sequence[Point | None]) -> bool:
+    given = [position for position in positions if position is not None]
+    return len(given) == 1 or any(any(position) for position in given)
 
 
 def _room_box(room: SceneRoom) -> Box | None:
-    """The room's own box, else one around its objects, in metres; None where it has neither."""
-    if room.box is not None:
+    """The room's own box, else one around its objects, else around its position, in metres.
+
+    None where it has nothing of these; a box without floor counts for nothing.
+    """
+    if room.box is not None and all(room.box.high[axis] > room.box.low[axis] for axis in (0, 1)):
         return room.box
     points = [thing.position for thing in room.objects if thing.position is not None]
+    points = points or ([] if room.position is None else [room.position])
     if not points:
         return None
     axes = list(zip(*points, strict=True))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from roomtables.errors import InputError, MissingExtraError
+from roomtables.errors import InputError, needing
 from roomtables.evaluation import Evaluation
 from roomtables.evaluation.comparison import Sweep, SweepPoint
 from roomtables.schemas import POOLED, PROXY
@@ -162,8 +162,7 @@ def _lines_over_k(points: Sequence[SweepPoint]) -> Iterator[tuple[str, list[Swee
 
 
 def _figure(width: float, height: float) -> Any:
-    try:
+    with needing("drawing a picture"):
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("drawing a picture", "report") from error
+
     return Figure(figsize=(width, height), layout="constrained")

@@ -15,7 +15,14 @@ from roomtables.errors import InputError
 from roomtables.scenes.dsg_graph import Graph, node_box, node_point, parse_graph, rooms_of, symbol
 from roomtables.scenes.hydra import load_label_names
 from roomtables.scenes.matterport_labels import ROOM_NAMES
-from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, report_unassigned
+from roomtables.scenes.scene import (
+    ReadOptions,
+    Scene,
+    SceneObject,
+    SceneRoom,
+    as_point,
+    report_unassigned,
+)
 from roomtables.scenes.scene_file import SceneFile
 
 # Values of ``semantic_label`` that say nothing: −1, also where it is stored without a sign.
@@ -129,7 +136,12 @@ def _room(graph: Graph, key: int, objects: tuple[SceneObject, ...]) -> SceneRoom
     box = node_box(attributes, f"{graph.source}, node {symbol(key)}")
     name = attributes.get("name")
     return SceneRoom(
-        symbol(key), objects, name if isinstance(name, str) else "", _true_labels(graph, key), box
+        symbol(key),
+        objects,
+        name if isinstance(name, str) else "",
+        _true_labels(graph, key),
+        box,
+        as_point(attributes.get("position")),
     )
 
 

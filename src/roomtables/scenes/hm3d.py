@@ -6,9 +6,9 @@ region −1 is unknown, and regions have no names (a room list can give them).
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
+from roomtables.csv_rows import csv_lines
 from roomtables.errors import InputError
 from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, report_unassigned
 from roomtables.scenes.scene_file import SceneFile
@@ -42,16 +42,12 @@ def read_hm3d(file: SceneFile, options: ReadOptions) -> Scene:
 def _regions(path: Path) -> dict[int, list[SceneObject]]:
     """The objects of each region."""
     regions: dict[int, list[SceneObject]] = {}
-    with path.open(encoding="utf-8-sig", newline="") as lines:
-        rows = csv.reader(lines, skipinitialspace=True)
-        try:
-            next(lines, None)  # the header, so line_num lags by one
-            for row in rows:
-                if row:
-                    region, thing = _annotation(row, f"{path}, line {rows.line_num + 1}")
-                    regions.setdefault(region, []).append(thing)
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise InputError(f"{path}, line {rows.line_num + 2}: unreadable ({error})") from error
+    rows = csv_lines(path, skipinitialspace=True)
+    next(rows, None)  # the header
+    for where, row in rows:
+        if row:
+            region, thing = _annotation(row, where)
+            regions.setdefault(region, []).append(thing)
     return regions
 
 

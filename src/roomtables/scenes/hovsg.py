@@ -6,11 +6,11 @@ the room's name and never as the truth.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from roomtables.errors import InputError
+from roomtables.limits import JSON_BYTES, MalformedError, json_value, read_bytes
 from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, report_unassigned
 from roomtables.scenes.scene_file import SceneFile
 
@@ -71,9 +71,9 @@ def _object(path: Path) -> SceneObject:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: invalid JSON ({error}); write the HOV-SG graph again") from error
+        value = json_value(read_bytes(path, JSON_BYTES))
+    except MalformedError as error:
+        raise InputError(f"{path}: {error}; write the HOV-SG graph again") from error
     if not isinstance(value, dict):
         raise InputError(f"{path}: expected a JSON object")
     return value

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import InputError, MissingExtraError
+from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel, normalise
+from roomtables.limits import YAML_BYTES, MalformedError, read_bytes, yaml_value
 
 _NOT_OBJECTS = frozenset({"", "unknown", "void", "unlabeled", "unlabelled", "misc"})
 
@@ -62,17 +63,12 @@ def _object_ids(document: dict[str, Any], names: dict[int, str], path: Path) -> 
 
 def _load_yaml(path: Path) -> Any:
     try:
-        import yaml
-    except ImportError as error:
-        raise MissingExtraError("reading a Hydra label space", "scene-graphs") from error
-    try:
-        with path.open(encoding="utf-8") as file:
-            return yaml.safe_load(file)
+        return yaml_value(read_bytes(path, YAML_BYTES))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a YAML file ({reason})") from error
+    except MalformedError as error:
+        where = f"{path}, line {error.line}" if error.line else path
+        raise InputError(f"{where}: not a YAML file of a label space ({error})") from error
 
 
 def load_label_names(path: Path) -> dict[int, str]:

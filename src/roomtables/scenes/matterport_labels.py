@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from roomtables.config import load_labels
+from roomtables.csv_rows import csv_lines
 from roomtables.errors import InputError
 from roomtables.labels import normalise
 from roomtables.scenes.scene import ReadOptions
@@ -63,9 +63,9 @@ class Category:
 Namer = Callable[[Category], str | None]
 
 
-def house_labels(labels: str) -> str:
+def house_labels(labels: str | None) -> str:
     """The label space to name a house's objects in, where tables of ``labels`` are to answer."""
-    return NYUCLASS if Path(labels).name == NYUCLASS else MPCAT40
+    return NYUCLASS if labels and Path(labels).name == NYUCLASS else MPCAT40
 
 
 def object_namer(options: ReadOptions) -> Namer:
@@ -131,13 +131,12 @@ def _mapped_nyuclass(path: Path) -> Namer:
 @functools.cache
 def _read_mapping(path: Path) -> dict[int, str]:
     """nyuClass by the index of its row in ``category_mapping.tsv``."""
+    rows = csv_lines(path, delimiter="\t", strict=True)
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file, delimiter="\t", strict=True)
-            return {int(row["index"]): row["nyuClass"] or "" for row in rows}
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}") from error
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        _, header = next(rows)
+        index, name = header.index("index"), header.index("nyuClass")
+        return {int(row[index]): "".join(row[name : name + 1]) for _, row in rows if row}
+    except (StopIteration, IndexError, ValueError) as error:
         raise InputError(
             f"{path}: not Matterport's category_mapping.tsv (tab-separated, with index, nyuClass)"
         ) from error

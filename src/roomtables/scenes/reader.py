@@ -14,9 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from roomtables.errors import InputError
+from roomtables.limits import JSON_BYTES, SCENE_BYTES, text_lines
 from roomtables.rooms import Room
 from roomtables.scenes.dsg import is_dsg, read_dsg
 from roomtables.scenes.dsg_graph import Graph, parse_graph
+from roomtables.scenes.foreign import refuse_foreign
 from roomtables.scenes.hm3d import is_hm3d, read_hm3d
 from roomtables.scenes.hovsg import is_hovsg, read_hovsg
 from roomtables.scenes.matterport import is_house, read_house
@@ -34,9 +36,6 @@ from roomtables.scenes.scene_file import HEAD, SceneFile
 from roomtables.scenes.sparkdsg import is_sparkdsg, read_sparkdsg, sparkdsg_document
 
 STANDARD_INPUT = Path("-")
-# Bytes of JSON beyond which it is no scene: with a first key that scenes are known to have, and
-# with another (see `SceneFile.has_document_key`).
-_LARGE, _LARGE_AND_STRANGE = 1 << 30, 1 << 26
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +122,7 @@ def read_scene(path: Path, options: ReadOptions | None = None) -> Scene:
         A ``.sparkdsg`` file or a label-space YAML needs the extra ``scene-graphs``.
     """
     if path == STANDARD_INPUT:
-        return json_lines_scene(sys.stdin.buffer, "standard input")
+        return json_lines_scene(text_lines(sys.stdin.buffer), "standard input")
     file = _open(path)
     try:
         return _format_of(file).read(file, options or ReadOptions())
@@ -155,11 +154,12 @@ def read_graph(path: Path) -> Graph:
 
 
 def _open(path: Path) -> SceneFile:
-    """The file, unless it is JSON too large to be decoded."""
+    """The file, unless it is JSON too large to be decoded, or of a format known but not read."""
     file = SceneFile.open(path)
+    refuse_foreign(file)
     known = file.has_document_key
     is_document = file.is_json and not file.has_object_lines
-    if is_document and file.size > (_LARGE if known else _LARGE_AND_STRANGE):
+    if is_document and file.size > (SCENE_BYTES if known else JSON_BYTES):
         advice = "a graph without its mesh is smaller" if known else f"give {SUPPORTED}"
         size = f"{file.size / 2**30:.1f} GB"
         raise InputError(f"{path}: {size} of JSON is more than a scene; {advice}")

@@ -10,6 +10,7 @@ from typing import Any
 
 from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError
+from roomtables.limits import text_lines
 from roomtables.rooms import Room, parse_room, parse_room_lines
 from roomtables.scenes.scene import ReadOptions, Scene, SceneObject, SceneRoom, as_point
 from roomtables.scenes.scene_file import SceneFile
@@ -37,7 +38,7 @@ def read_json_lines(file: SceneFile, options: ReadOptions) -> Scene:
 
     def rooms() -> Iterator[SceneRoom]:
         with file.path.open("rb") as lines:
-            yield from json_lines_scene(lines, str(file.path)).rooms
+            yield from json_lines_scene(text_lines(lines), str(file.path)).rooms
 
     return Scene(file.path.stem, rooms())
 

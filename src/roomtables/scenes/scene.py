@@ -74,7 +74,8 @@ class SceneObject:
 class SceneRoom:
     """One room: its id and name in the scene, its objects, its true labels where known.
 
-    ``measures`` is as in :class:`~roomtables.rooms.Room`.
+    ``position`` is where the scene puts the room itself, in metres. ``measures`` is as in
+    :class:`~roomtables.rooms.Room`.
     """
 
     room_id: str
@@ -82,6 +83,7 @@ class SceneRoom:
     name: str = ""
     truth: tuple[str, ...] = ()
     box: Box | None = None
+    position: Point | None = None
     measures: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, hash=False)
 
     def as_room(self) -> Room:

@@ -6,7 +6,6 @@ A format is recognised by what stands here, and a reader of a JSON document take
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.errors import InputError
+from roomtables.limits import SCENE_BYTES, MalformedError, json_value, read_bytes
 
 HEAD = 65_536  # bytes that are looked at to recognise a format
 _BLANKS = " \t\r\n"  # what JSON takes for white space
@@ -140,8 +140,8 @@ class SceneFile:
         if not line.rstrip().endswith("}"):
             return None
         try:
-            value = json.loads(line)
-        except (ValueError, RecursionError):
+            value = json_value(line)
+        except MalformedError:
             return None
         return value if isinstance(value, dict) else None
 
@@ -156,18 +156,14 @@ class SceneFile:
 
     def _decode(self) -> Any:
         try:
-            content = self.head if self.is_complete else self.path.read_bytes()
-            return json.loads(content.decode("utf-8-sig"))
+            whole = self.is_complete
+            return json_value(self.head if whole else read_bytes(self.path, SCENE_BYTES))
         except OSError as error:
             raise InputError(f"cannot read {self.path}: {error.strerror}") from error
-        except UnicodeDecodeError as error:
-            raise InputError(f"{self.path}: not UTF-8 text ({error.reason})") from error
-        except json.JSONDecodeError as error:
+        except MalformedError as error:
+            where = f"{self.path}, line {error.line}" if error.line else self.path
             raise InputError(
-                f"{self.path}, line {error.lineno}: invalid JSON ({error.msg}, character "
-                f"{error.pos}); was the file cut short? save the graph again"
+                f"{where}: {error}; was the file cut short? save the graph again"
             ) from error
-        except (RecursionError, MemoryError) as error:
-            raise InputError(
-                f"{self.path}: nested too deeply or too large to be a scene"
-            ) from error
+        except MemoryError as error:
+            raise InputError(f"{self.path}: too large to be a scene") from error

@@ -10,21 +10,20 @@ from __future__ import annotations
 import json
 import math
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import InputError, MissingExtraError, first_line
+from roomtables.errors import InputError, first_line, needing
+from roomtables.limits import SCENE_BYTES, json_value, read_bytes
 from roomtables.scenes.dsg import NamedRoom, graph_scene, room_label_space
+from roomtables.scenes.dsg_binary import check_graph
 from roomtables.scenes.dsg_graph import label_spaces, parse_graph, rooms_of, symbol
 from roomtables.scenes.hydra import load_label_names
 from roomtables.scenes.scene import ReadOptions, Scene
 from roomtables.scenes.scene_file import SceneFile
 
-# What decoding a message may allocate: a forged length field must not take the robot's memory.
-_LEAST_BYTES = 512 << 20
-_BYTES_PER_MESSAGE_BYTE = 64
 # A node's id is a letter above these bits, and an index.
 _INDEX_BITS = 56
 _OBJECT_LETTERS = frozenset(map(ord, "Oo"))
@@ -62,13 +61,14 @@ def sparkdsg_document(path: Path, *, include_mesh: bool) -> dict[str, Any]:
         name = Path(folder) / "graph.sparkdsg"
         name.symlink_to(path.resolve())  # spark_dsg goes by the suffix
         try:
+            check_graph(read_bytes(path, SCENE_BYTES), None)
             graph = loader.load(name)
+            graph.save(Path(folder) / "graph.json", include_mesh)
+            document: dict[str, Any] = json_value((Path(folder) / "graph.json").read_bytes())
         except Exception as error:
             raise InputError(
                 f"{path}: not a readable .sparkdsg file ({first_line(error)}); save the graph again"
             ) from error
-        graph.save(Path(folder) / "graph.json", include_mesh)
-        document: dict[str, Any] = json.loads((Path(folder) / "graph.json").read_bytes())
     return document
 
 
@@ -96,10 +96,9 @@ def write_sparkdsg(document: dict[str, Any], path: Path) -> None:
 
 def _graph_class() -> Any:
     """``spark_dsg.DynamicSceneGraph``."""
-    try:
+    with needing("a .sparkdsg scene graph"):
         from spark_dsg import DynamicSceneGraph
-    except ImportError as error:
-        raise MissingExtraError("a .sparkdsg scene graph", "scene-graphs") from error
+
     return DynamicSceneGraph
 
 
@@ -175,6 +174,7 @@ class GraphCodec:
     def __init__(self, labelspace: Path | None = None) -> None:
         self._names = load_label_names(labelspace) if labelspace else None
         self._graph_class = _graph_class()
+        self._version = tuple(map(int, version("spark-dsg").split(".")[:3]))
 
     def decode(self, message: bytes) -> LiveGraph:
         """A graph from a message.
@@ -185,8 +185,8 @@ class GraphCodec:
             The message is no scene graph, or one whose labels nothing names.
         """
         try:
-            with _bounded_memory(_LEAST_BYTES + _BYTES_PER_MESSAGE_BYTE * len(message)):
-                graph = self._graph_class.from_binary(message)
+            check_graph(message, self._version)
+            graph = self._graph_class.from_binary(message)
             return LiveGraph(graph, self._names)
         except InputError:
             raise
@@ -221,24 +221,3 @@ def _object_labels(graph: Any) -> dict[int, int]:
         if "Object" in type(attributes).__name__:
             labels[node.id.value] = attributes.semantic_label
     return labels
-
-
-@contextmanager
-def _bounded_memory(extra: int) -> Iterator[None]:
-    """Let the process grow by ``extra`` bytes at most, where the system can hold it to that."""
-    try:
-        import resource
-
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-    except (ImportError, OSError):
-        yield
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limit = pages * resource.getpagesize() + extra
-    if soft != resource.RLIM_INFINITY:
-        limit = min(limit, soft)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

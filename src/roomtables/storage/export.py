@@ -1,4 +1,4 @@
-"""Pack what a robot needs of a published version into one archive: lookup files and manifest.
+"""Pack what a robot needs of a published version: lookup files, manifest, and perhaps a model.
 
 The archive holds ``tables/<label space>/``, with ``CURRENT`` last; unpacked, it opens like the
 tables it came from, read-only file systems included. The version's folder is named after what it
@@ -11,17 +11,27 @@ import gzip
 import io
 import os
 import tarfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from roomtables.errors import InputError, StoreError
+from roomtables.errors import InputError, StoreError, needing
 from roomtables.storage.aside import replacing
 from roomtables.storage.lookup import Lookup
-from roomtables.storage.versions import CURRENT, LOOKUP, MANIFEST, Pointer, SpaceFolder, Version
+from roomtables.storage.manifest import FileFacts
+from roomtables.storage.scratch import scratch
+from roomtables.storage.versions import (
+    CURRENT,
+    LOOKUP,
+    MANIFEST,
+    MODEL,
+    Pointer,
+    SpaceFolder,
+    Version,
+)
 
 ROOT = "tables"
 SUFFIXES = (".tar.zst", ".tar.gz", ".tar")
@@ -37,10 +47,19 @@ class ExportedSource:
     bytes: int
 
 
-def export(tables: Path, labels: str, output: Path) -> tuple[ExportedSource, ...]:
+WriteModel = Callable[[Version, Lookup, Path], None]
+"""Writes the model that scored a version's query sentences into a folder, as ONNX Runtime reads it.
+"""
+
+
+def export(
+    tables: Path, labels: str, output: Path, write_model: WriteModel | None = None
+) -> tuple[ExportedSource, ...]:
     """Pack the published version of a label space; every byte of it is verified on the way.
 
     ``output`` is ``*.tar.zst``, ``*.tar.gz`` or ``*.tar``; written aside, then moved into place.
+    What ``write_model`` writes becomes the version's folder ``model``; what it raises leaves
+    nothing behind.
 
     Raises
     ------
@@ -54,8 +73,13 @@ def export(tables: Path, labels: str, output: Path) -> tuple[ExportedSource, ...
     version = SpaceFolder(tables, labels).current()
     lookup = Lookup.open(version.path / LOOKUP, version.manifest, verify=True)
     try:
-        with replacing(output) as aside, _compressed(aside, output.name) as stream:
-            _pack(stream, version)
+        with ExitStack() as stack:
+            model = None
+            if write_model is not None:
+                model = stack.enter_context(scratch("export", output.parent))
+                write_model(version, lookup, model)
+            aside = stack.enter_context(replacing(output))
+            _pack(stack.enter_context(_compressed(aside, output.name)), version, model)
     except OSError as error:
         raise StoreError(
             f"cannot write {output}: {error.strerror or error}; give another path with -o"
@@ -71,18 +95,22 @@ def _bytes(version: Version, source: str) -> int:
     return sum(fact.bytes for name, fact in facts if name.startswith(f"{LOOKUP}/{source}."))
 
 
-def _pack(stream: IO[bytes], version: Version) -> None:
+def _pack(stream: IO[bytes], version: Version, model: Path | None) -> None:
     space = f"{ROOT}/{version.manifest.labels}"
     noted = version.manifest.files
     packed = {name: noted[name] for name in sorted(noted) if name.startswith(f"{LOOKUP}/")}
+    places = {name: version.path / name for name in packed}
+    for path in sorted(model.iterdir()) if model else ():
+        name = f"{MODEL}/{path.name}"
+        packed[name], places[name] = FileFacts.of(path), path
     manifest = replace(version.manifest, files=packed).to_bytes()
     digest = sha256(manifest).hexdigest()
     # Two builds may bear one name and hold other files: unpacked, neither may write into the other.
     pointer = Pointer(f"{version.name}-{digest[:8]}", digest)
     inside = f"{space}/{pointer.name}"
     with tarfile.open(fileobj=stream, mode="w|") as archive:
-        for name in packed:
-            with (version.path / name).open("rb") as file:
+        for name, path in places.items():
+            with path.open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
                 _add(archive, version, f"{inside}/{name}", size, file)
         for place, content in (
@@ -106,7 +134,8 @@ def _add(
 def _compressed(path: Path, name: str) -> Iterator[Any]:
     """A stream to write the archive to, compressed as its name says."""
     if name.endswith(".zst"):
-        import pyarrow as pa
+        with needing("an archive *.tar.zst (*.tar.gz needs nothing)"):
+            import pyarrow as pa
 
         with pa.CompressedOutputStream(str(path), "zstd") as stream:
             yield stream

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import logging
 import os
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
+from typing import BinaryIO
 
 from roomtables.errors import StoreError
 from roomtables.storage.aside import replacing
@@ -24,6 +26,9 @@ _ADVICE = {
     errno.EDQUOT: "free some space, then run the command again: what is scored is kept",
     errno.EFBIG: "allow bigger files (`ulimit -f`), then run the command again",
 }
+
+
+_CHUNK = 1 << 20  # bytes that are hashed at once
 
 
 @contextmanager
@@ -56,6 +61,14 @@ def write_aside(path: Path, data: bytes) -> None:
             aside.write_bytes(data)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror}") from error
+
+
+def sha256_of(file: BinaryIO) -> str:
+    """SHA-256 of what an open file holds from here on (`hashlib` has its own from Python 3.11)."""
+    digest = hashlib.sha256()
+    while chunk := file.read(_CHUNK):
+        digest.update(chunk)
+    return digest.hexdigest()
 
 
 def refuse_outside(root: Path, *paths: Path) -> None:
@@ -108,7 +121,7 @@ _LOCK = ".build-lock"
 
 def utc_now() -> datetime:
     """The time, in UTC, to the second."""
-    return datetime.now(UTC).replace(microsecond=0)
+    return datetime.now(timezone.utc).replace(microsecond=0)
 
 
 @contextmanager

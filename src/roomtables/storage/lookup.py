@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import mmap
 import os
 from collections.abc import Mapping
@@ -26,7 +25,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roomtables.errors import StoreError
-from roomtables.labels import ObjectLabel, RoomLabel
+from roomtables.labels import (
+    LABEL,
+    PLURAL,
+    SYNONYM,
+    Name,
+    ObjectLabel,
+    RoomLabel,
+    normalise,
+)
+from roomtables.limits import JSON_BYTES, json_value, read_bytes
+from roomtables.storage.files import sha256_of
 from roomtables.storage.manifest import Manifest
 
 INDEX = "lookup.json"
@@ -102,6 +111,17 @@ class Lookup:
     reduction: str
     sources: Mapping[str, SourceArrays]
 
+    def object_names(self) -> dict[str, Name]:
+        """Every name of an object that is read as it stands, and how: table ``names``.
+
+        The plural or singular of a synonym counts as a synonym here.
+        """
+        plurals = {normalise(listed.plural) for listed in self.objects}
+        return {
+            name: Name(label, LABEL if name == label else PLURAL if name in plurals else SYNONYM)
+            for name, label in self.object_aliases.items()
+        }
+
     @classmethod
     def open(cls, folder: Path, manifest: Manifest, verify: bool = False) -> Lookup:
         """Map the arrays of a lookup folder.
@@ -123,18 +143,25 @@ class Lookup:
             raise StoreError(
                 f"cannot read {error.filename or folder}: {error.strerror}; run `roomtables build`"
             ) from error
-        except (ValueError, KeyError, TypeError, IndexError, EOFError) as error:
+        except (
+            ArithmeticError,
+            AttributeError,
+            EOFError,
+            LookupError,
+            TypeError,
+            ValueError,
+        ) as error:
             raise StoreError(
                 f"{folder} is damaged ({error}); run `roomtables build --full-refresh`"
             ) from error
 
     @classmethod
     def _open(cls, folder: Path, manifest: Manifest, verify: bool) -> Lookup:
-        content = (folder / INDEX).read_bytes()
+        content = read_bytes(folder / INDEX, JSON_BYTES)
         noted = manifest.files[f"{folder.name}/{INDEX}"]
         if hashlib.sha256(content).hexdigest() != noted.sha256:
             raise ValueError(f"{INDEX} is not the one that the manifest names")
-        index = json.loads(content)
+        index = json_value(content)
         objects = tuple(ObjectLabel(label, plural) for label, plural in index["objects"])
         rooms = tuple(RoomLabel(r, article, (), p) for r, article, p in index["rooms"])
         columns = [room.label for room in rooms if room.predicted]
@@ -196,7 +223,7 @@ def _open_array(folder: Path, listed: Mapping[str, Any], name: str, verify: bool
         else:
             good = sampled_sha256(file, size) == listed["sample_sha256"]
             if good and verify:
-                good = hashlib.file_digest(file, "sha256").hexdigest() == listed["sha256"]
+                good = sha256_of(file) == listed["sha256"]
             if good:
                 array = _map(file, size)
     if array is None:

@@ -6,11 +6,10 @@ nothing in it can change unnoticed.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from functools import cache
 from math import comb, inf
 from pathlib import Path
@@ -19,7 +18,9 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from roomtables.config import BuildConfig
 from roomtables.errors import ConfigError
+from roomtables.limits import MalformedError, json_value
 from roomtables.schemas import SCHEMA_VERSION
+from roomtables.storage.files import sha256_of
 
 # Years that every time zone's arithmetic can hold.
 _YEARS = range(1970, 9000)
@@ -54,7 +55,7 @@ class FileFacts:
     def of(cls, path: Path) -> FileFacts:
         """The facts of a file as it is now."""
         with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = sha256_of(file)
         return cls(path.stat().st_size, digest)
 
 
@@ -163,12 +164,9 @@ class Manifest:
             schema version.
         """
         try:
-            value = json.loads(content)
-            json.dumps(value, ensure_ascii=False).encode()
-        except UnicodeEncodeError as error:
-            raise ManifestError("it holds characters that are no text") from error
-        except (ValueError, RecursionError) as error:
-            raise ManifestError(f"it is not JSON: {error}") from error
+            value = json_value(content)
+        except MalformedError as error:
+            raise ManifestError(str(error)) from error
         if not isinstance(value, dict):
             raise ManifestError("it is not a JSON object")
         if value.get("schema_version") != SCHEMA_VERSION:
@@ -235,7 +233,7 @@ def _moment(text: str, where: str) -> datetime:
         moment = datetime.min
     if moment.tzinfo is None or moment.year not in _YEARS:
         raise ManifestError(f"`{where}` is no time with a time zone, or of no year of ours")
-    return moment.astimezone(UTC)
+    return moment.astimezone(timezone.utc)
 
 
 def _settings(value: dict[str, Any]) -> BuildConfig:

@@ -5,7 +5,8 @@
     tables/<label space>/misses/<host>-<process>.jsonl   a JSON line per question, only appended to
     tables/<label space>/misses/taken.json               how far builds have read, and what
 
-Any number of processes may note misses while a build reads them. A line torn by a crash is skipped.
+Any number of processes may note misses while a build reads them. The files come from robots, too:
+whatever line is no miss is skipped, counted, and the first of a file is named.
 """
 
 from __future__ import annotations
@@ -17,14 +18,17 @@ import os
 import re
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from io import FileIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
+from roomtables.labels import normalise
+from roomtables.limits import JSON_BYTES, NAME_CHARACTERS, MalformedError, json_value, read_bytes
+from roomtables.schemas import SOURCES
 from roomtables.storage.files import write_aside
 
 log = logging.getLogger(__name__)
@@ -33,7 +37,14 @@ FOLDER = "misses"
 _TAKEN = "taken.json"
 FILE_BYTES = 4 << 20  # of one process
 FOLDER_BYTES = 64 << 20
+LINE_BYTES = 64 << 10
+TAKEN = 100_000  # combinations that are remembered as taken in
+_MOST_OBJECTS = 8  # of a combination: the largest k
+_YEARS = range(1970, 9000)  # that every time zone's arithmetic can hold
 _IDLE_SECONDS = 3600.0  # a file that was read to its end may go when nobody wrote for so long
+
+
+Combination = tuple[str, tuple[str, ...]]  # a source, and objects in sentence order
 
 
 class Miss(NamedTuple):
@@ -60,7 +71,7 @@ class MissLog:
 
     def note(self, source: str, combinations: Iterable[Sequence[str]]) -> None:
         """Append one line per combination."""
-        asked = datetime.now(UTC).isoformat(timespec="seconds")
+        asked = datetime.now(timezone.utc).isoformat(timespec="seconds")
         lines = [
             json.dumps({"source": source, "objects": list(objects), "asked": asked})
             for objects in combinations
@@ -111,52 +122,70 @@ class Misses:
     Attributes
     ----------
     open : misses that no build has taken in, most asked first
-    taken : source and objects of those that builds have taken in
+    taken : source and objects of those that builds have taken in, as far as they are remembered
     """
 
     folder: Path
     open: tuple[Miss, ...]
-    taken: frozenset[tuple[str, tuple[str, ...]]]
+    taken: frozenset[Combination]
     _ends: Mapping[str, int]
 
     @classmethod
     def read(cls, folder: Path) -> Misses:
         """All misses of a folder; none where there is no folder."""
         ends, taken = _read_taken(folder)
-        counts: dict[tuple[str, tuple[str, ...]], int] = {}
-        last: dict[tuple[str, tuple[str, ...]], datetime] = {}
-        for path in sorted(folder.glob("*.jsonl")):
-            lines, ends[path.name] = _new_lines(path, ends.get(path.name, 0))
-            for line in lines:
-                found = _parse(line)
-                if found:
-                    key, asked = found
-                    counts[key] = counts.get(key, 0) + 1
-                    last[key] = max(last.get(key, asked), asked)
+        counts: dict[Combination, int] = {}
+        last: dict[Combination, datetime] = {}
+        for path in sorted(filter(_is_text_file, folder.glob("*.jsonl"))):
+            found, ends[path.name] = _new_misses(path, ends.get(path.name, 0))
+            for key, asked in found:
+                counts[key] = counts.get(key, 0) + 1
+                last[key] = max(last.get(key, asked), asked)
         misses = [Miss(*key, times, last[key]) for key, times in counts.items()]
         misses.sort(key=lambda miss: (-miss.times_asked, miss.source, miss.objects))
         return cls(folder, tuple(misses), taken, ends)
 
-    def take_in(self) -> None:
+    def take_in(self, known: Container[str] | None = None) -> None:
         """Note that a published version answers all that was open; drop files long read.
+
+        What is open is remembered by its combination, so that a build from another file of rooms
+        includes it: the most asked first, and not beyond a limit. Combinations with an object that
+        is not among the ``known`` names, normalised, are in no table and are not remembered.
 
         Raises
         ------
         StoreError
             The folder cannot be written.
         """
-        dropped = [name for name in self._ends if _is_done(self.folder / name, self._ends[name])]
-        taken = self.taken | {(miss.source, miss.objects) for miss in self.open}
-        if not (self.open or dropped):
+        done = [name for name in self._ends if _is_done(self.folder / name, self._ends[name])]
+        if not (self.open or done):
             return
-        content = {
-            "read": {name: end for name, end in self._ends.items() if name not in dropped},
-            "combinations": [[source, *objects] for source, objects in sorted(taken)],
-        }
-        text = json.dumps(content, ensure_ascii=False)
-        write_aside(self.folder / _TAKEN, text.encode())
-        for name in dropped:
-            _remove(self.folder / name, self._ends[name])
+        keys = [*sorted(self.taken), *((miss.source, miss.objects) for miss in self.open)]
+        if known is not None:
+            keys = [key for key in keys if all(normalise(name) in known for name in key[1])]
+        keys = list(dict.fromkeys(keys))
+        if len(keys) > TAKEN:
+            log.warning("%s: %d of %d combinations are remembered", self.folder, TAKEN, len(keys))
+        combinations = [[source, *objects] for source, objects in keys[:TAKEN]]
+        # A crash before the second note leaves files that count as read.
+        self._note_taken(self._ends, combinations)
+        gone = {name for name in done if _remove(self.folder / name, self._ends[name])}
+        if gone:
+            left = {name: end for name, end in self._ends.items() if name not in gone}
+            self._note_taken(left, combinations)
+
+    def _note_taken(self, ends: Mapping[str, int], combinations: Sequence[Sequence[str]]) -> None:
+        content = {"read": dict(ends), "combinations": combinations}
+        write_aside(self.folder / _TAKEN, json.dumps(content, ensure_ascii=False).encode())
+
+
+def _is_text_file(path: Path) -> bool:
+    """Whether a path is a regular file with a name that can be noted: no pipe that never ends."""
+    try:
+        path.name.encode()
+        return path.is_file()
+    except (OSError, UnicodeEncodeError):
+        return False
 
 
 def folder_bytes(folder: Path) -> int:
@@ -168,46 +197,69 @@ def folder_bytes(folder: Path) -> int:
     return total
 
 
-def _new_lines(path: Path, start: int) -> tuple[list[bytes], int]:
-    """Whole lines from a place in a file, and the place behind them."""
+def _new_misses(path: Path, start: int) -> tuple[list[tuple[Combination, datetime]], int]:
+    """The misses of a file from a place on, each with its time, and the place behind them."""
+    found: list[tuple[Combination, datetime]] = []
+    skipped: list[str] = []
     try:
         with path.open("rb") as file:
             if file.seek(0, os.SEEK_END) < start:
                 start = 0  # another file than the one that was read
             file.seek(start)
-            content = file.read()
+            while line := file.readline(LINE_BYTES):
+                whole = line.endswith(b"\n")
+                if not (whole or (len(line) == LINE_BYTES and _skip_line(file))):
+                    break  # somebody is writing it
+                try:
+                    found += [_parse(line)] if line.strip() else []
+                except MalformedError as error:
+                    skipped.append(f"the one at byte {start}: {error}")
+                start = file.tell()
     except OSError as error:
         log.warning("misses in %s cannot be read: %s", path, error.strerror)
-        return [], start
-    whole = content[: content.rfind(b"\n") + 1]
-    return whole.splitlines(), start + len(whole)
+    if skipped:
+        log.warning("%s: lines that are no misses: %d, such as %s", path, len(skipped), skipped[0])
+    return found, start
 
 
-def _parse(line: bytes) -> tuple[tuple[str, tuple[str, ...]], datetime] | None:
-    """Source and objects, and when; ``None`` for a line that is no miss."""
+def _skip_line(file: BinaryIO) -> bool:
+    """Read what is left of a line; whether it has an end."""
+    while line := file.readline(LINE_BYTES):
+        if line.endswith(b"\n"):
+            return True
+    return False
+
+
+def _parse(line: bytes) -> tuple[Combination, datetime]:
+    """Source and objects of a miss, and when it was asked for."""
+    value = json_value(line)
+    if not isinstance(value, dict):
+        raise MalformedError("not a JSON object")
+    source, objects, asked = (value.get(key) for key in ("source", "objects", "asked"))
+    if source not in SOURCES:
+        raise MalformedError(f"no source is called {str(source)[:40]!r}")
+    if not isinstance(objects, list) or not 1 <= len(objects) <= _MOST_OBJECTS:
+        raise MalformedError(f"`objects` is no list of 1 to {_MOST_OBJECTS} names")
+    if not all(isinstance(name, str) and len(name) <= NAME_CHARACTERS for name in objects):
+        raise MalformedError(f"an object is no name of at most {NAME_CHARACTERS} characters")
     try:
-        value: Any = json.loads(line)
-        source, objects = value["source"], value["objects"]
-        asked = datetime.fromisoformat(value["asked"]).astimezone(UTC)
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return None
-    names = isinstance(objects, list) and objects and all(isinstance(o, str) for o in objects)
-    return ((source, tuple(objects)), asked) if names and isinstance(source, str) else None
+        moment = datetime.fromisoformat(asked if isinstance(asked, str) else "")
+    except ValueError:
+        moment = datetime.min
+    if moment.year not in _YEARS:
+        raise MalformedError(f"`asked` is no time: {str(asked)[:40]!r}")
+    return (source, tuple(objects)), moment.astimezone(timezone.utc)
 
 
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
-
-
-def _read_taken(folder: Path) -> tuple[dict[str, int], frozenset[tuple[str, tuple[str, ...]]]]:
+def _read_taken(folder: Path) -> tuple[dict[str, int], frozenset[Combination]]:
     """How far each file was read, and the combinations read; damaged: nothing was."""
     try:
-        value: Any = json.loads(_text(folder / _TAKEN))
-        ends = {str(name): int(end) for name, end in value["read"].items()}
+        value: Any = json_value(read_bytes(folder / _TAKEN, JSON_BYTES))
+        ends = {str(name): max(int(end), 0) for name, end in value["read"].items()}
         taken = frozenset(
             (str(row[0]), tuple(map(str, row[1:]))) for row in value["combinations"] if row[1:]
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError):
+    except (ArithmeticError, AttributeError, LookupError, OSError, TypeError, ValueError):
         return {}, frozenset()
     return ends, taken
 
@@ -221,12 +273,16 @@ def _is_done(path: Path, end: int) -> bool:
     return status.st_size == end and time.time() - status.st_mtime > _IDLE_SECONDS
 
 
-def _remove(path: Path, end: int) -> None:
-    """Remove a file unless someone writes to it."""
+def _remove(path: Path, end: int) -> bool:
+    """Remove a file unless someone writes to it; whether it is gone."""
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(file.fileno()).st_size == end:
-                path.unlink()
+            if os.fstat(file.fileno()).st_size != end:
+                return False
+            path.unlink()
+    except FileNotFoundError:
+        return True
     except OSError:
-        return
+        return False
+    return True

@@ -16,13 +16,12 @@ from pathlib import Path
 import duckdb
 import pyarrow as pa
 
-from roomtables.schemas import literal
+from roomtables.schemas import SCORES, literal
 from roomtables.scorer import SentenceScore
 from roomtables.storage.files import is_held, refuse_outside, writing
 from roomtables.storage.score_parts import (
     FOOTER_KEY,
     PART_SCHEMA,
-    SCORES,
     Part,
     all_parts,
     live_parts,

@@ -7,7 +7,6 @@ all. Retired files stay on disk until nobody reads them.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -19,10 +18,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roomtables.errors import StoreError
+from roomtables.limits import json_value
 from roomtables.storage.aside import sync_folder
-from roomtables.storage.files import refuse_outside, writing
+from roomtables.storage.files import refuse_outside, sha256_of, writing
 
-SCORES = "scores"
 PART_SCHEMA = pa.schema(
     [
         ("scorer_id", pa.string()),
@@ -67,7 +66,7 @@ class Part:
         """
         try:
             found = pq.read_metadata(path)
-            footer = json.loads((found.metadata or {}).get(FOOTER_KEY.encode(), b"{}"))
+            footer = json_value((found.metadata or {}).get(FOOTER_KEY.encode(), b"{}"))
             columns = [(c.name, c.type) for c in found.schema.to_arrow_schema()]
             replaces = frozenset(map(str, footer.get("replaces", ())))
             part = cls(
@@ -93,7 +92,7 @@ class Part:
         """
         try:
             with self.path.open("rb") as file:
-                found = part_name(hashlib.file_digest(file, "sha256").hexdigest())
+                found = part_name(sha256_of(file))
         except OSError as error:
             raise StoreError(f"cannot read {self.path}: {error.strerror}; {_RECOVERY}") from error
         if found != self.name:
@@ -158,7 +157,7 @@ def write_part(folder: Path, table: pa.Table, footer: Mapping[str, Any]) -> Path
 def settle(aside: Path) -> Path:
     """Flush a part that was written aside, and move it to the name of its content."""
     with aside.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        digest = sha256_of(file)
         os.fsync(file.fileno())
     path = aside.with_name(part_name(digest))
     os.replace(aside, path)

@@ -1,4 +1,4 @@
-"""Temporary folders outside the tables folder."""
+"""Temporary folders, which the next process of their kind removes where one was killed."""
 
 from __future__ import annotations
 
@@ -14,16 +14,20 @@ from roomtables.storage.files import held
 
 
 @contextmanager
-def scratch(purpose: str) -> Iterator[Path]:
-    """A temporary folder; those that killed processes left for the same purpose are removed."""
+def scratch(purpose: str, within: Path | None = None) -> Iterator[Path]:
+    """A folder for the block, in another or where the system has temporary ones.
+
+    Those that killed processes left there for the same purpose are removed.
+    """
+    root = within or Path(tempfile.gettempdir())
     prefix = f"roomtables-{purpose}-"
-    for path in Path(tempfile.gettempdir()).glob(f"{prefix}????????"):
+    for path in root.glob(f"{prefix}????????"):
         with suppress(OSError):
             found = path.lstat()
             if found.st_uid == os.geteuid() and found.st_mode == stat.S_IFDIR | stat.S_IRWXU:
                 remove_abandoned(path)
     while True:
-        folder = tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True)
+        folder = tempfile.TemporaryDirectory("", prefix, root, ignore_cleanup_errors=True)
         with folder, held(Path(folder.name)):
             if os.path.isdir(folder.name):  # else it was taken for left over before it was held
                 yield Path(folder.name)

@@ -3,7 +3,7 @@
 ::
 
     tables/<label space>/CURRENT            names the published version
-    tables/<label space>/<version>/manifest.json, *.parquet, lookup/
+    tables/<label space>/<version>/manifest.json, *.parquet, lookup/, model/ (exported ones)
 
 A reader opens through ``CURRENT`` once and keeps what it opened; a writer never touches a published
 file. This module needs no pyarrow and no duckdb.
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from roomtables.errors import StoreError
+from roomtables.limits import JSON_BYTES, MalformedError, read_bytes
 from roomtables.storage.aside import sync_files, sync_folder
 from roomtables.storage.files import check_name, refuse_links, refuse_outside, write_aside, writing
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError, SchemaVersionError
@@ -29,6 +30,7 @@ from roomtables.storage.manifest import FileFacts, Manifest, ManifestError, Sche
 MANIFEST = "manifest.json"
 CURRENT = "CURRENT"
 LOOKUP = "lookup"
+MODEL = "model"  # the folder of a language model, in tables that were exported with one
 STAGING = ".staging-"
 _KEPT = "what is scored is kept"
 # A number and the inputs' hash; in an archive, the manifest's hash, too.
@@ -84,10 +86,11 @@ class Version:
         manifest_path = path / MANIFEST
         refuse_outside(path.parent.parent, path, manifest_path, path / LOOKUP)
         try:
-            content = manifest_path.read_bytes()
-        except OSError as error:
+            content = read_bytes(manifest_path, JSON_BYTES)
+        except (OSError, MalformedError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
             raise StoreError(
-                f"cannot read {manifest_path}: {error.strerror}; run `roomtables build`"
+                f"cannot read {manifest_path}: {why}; run `roomtables build`"
             ) from error
         try:
             manifest = Manifest.from_bytes(content)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.config import pipeline_folder
-from roomtables.errors import InputError
-from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES, literal
+from roomtables.errors import InputError, needing
+from roomtables.schemas import SCORES, TABLE_BY_NAME, VERSION_TABLES, literal
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.versions import Version
 
@@ -25,7 +25,8 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
     said. Files outside the tables folder cannot be read, and settings cannot be changed.
     ``database`` is a new file to hold the views for another program; the tables are not copied.
     """
-    import duckdb
+    with needing("SQL"):
+        import duckdb
 
     connection = duckdb.connect(str(database))
     for name in VERSION_TABLES:
@@ -105,7 +106,7 @@ def _decision(connection: Any, version: Version) -> None:
 
 
 def _sentence_scores(connection: Any, tables: Path) -> None:
-    from roomtables.storage.score_parts import SCORES, all_parts, live_parts  # brings pyarrow
+    from roomtables.storage.score_parts import all_parts, live_parts  # brings pyarrow
 
     folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]

@@ -19,6 +19,7 @@ def build_gpt_j(matterport, tmp_path_factory):
         folder = tmp_path_factory.mktemp("gpt-j")
         build(
             tables=folder,
+            labels="mpcat40",
             counts=matterport / "mpcat40_room_object_counts.csv",
             scores=matterport / "mpcat40_gpt_j_mean_log_prob.csv",
             combinations="none",

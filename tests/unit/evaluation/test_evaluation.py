@@ -45,7 +45,7 @@ def test_base_json_keys_are_the_contract(tables):
     found = evaluate(ROOMS, tables)
     assert list(found.as_json()) == [
         "rooms", "correct", "accuracy", "macro_accuracy", "rule", "source", "per_room",
-        "confusion", "baselines", "answered_by", "skipped",
+        "confusion", "baselines", "answered_by", "backed_off", "skipped",
     ]  # fmt: skip
     assert [*found.as_json(), "statistics"] == list(found.as_json(statistics=True))
     assert found.rooms == 5

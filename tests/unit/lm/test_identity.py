@@ -77,7 +77,7 @@ def test_unchanged_weights_are_hashed_once(folder: Path, monkeypatch: pytest.Mon
     def unread(*_: Any) -> Any:
         raise AssertionError("hashed again")
 
-    monkeypatch.setattr(identity.hashlib, "file_digest", unread)
+    monkeypatch.setattr(identity, "sha256_of", unread)
     assert identify(str(folder)) == before
 
 

@@ -78,6 +78,52 @@ def test_pickled_weights_are_never_read(copy: Path) -> None:
     assert "save_pretrained" in message
 
 
+@pytest.mark.parametrize(
+    "shard", ["pytorch_model-00001.bin", "../weights.safetensors", "/weights.safetensors",
+              "inner/weights.safetensors", "..safetensors", 7, None, ["x"]],
+)  # fmt: skip
+def test_an_index_lists_safetensors_files_of_the_folder_alone(copy: Path, shard: Any) -> None:
+    """What it lists is there, pickled or not: it is the name that is refused."""
+    whole = (copy / "model.safetensors").rename(copy / "weights.safetensors")
+    shutil.copy(whole, copy.parent)
+    torch.save({}, copy / "pytorch_model-00001.bin")
+    index = {"metadata": {}, "weight_map": {"transformer.wte.weight": shard}}
+    (copy / "model.safetensors.index.json").write_text(json.dumps(index))
+    assert "safetensors files in the model's own folder" in refusal(copy)
+    with pytest.raises(ModelError, match="own folder"):
+        identify(str(copy))
+
+
+@pytest.mark.parametrize("content", ["[]", '{"weight_map": []}', "{}", "{", '{"weight_map": 5}'])
+def test_an_index_that_is_none(copy: Path, content: str) -> None:
+    (copy / "model.safetensors").unlink()
+    (copy / "model.safetensors.index.json").write_text(content)
+    assert "model.safetensors.index.json" in refusal(copy)
+
+
+def test_weights_from_elsewhere(copy: Path) -> None:
+    edit_config(copy, transformers_weights="../model.safetensors")
+    assert "weights from elsewhere" in refusal(copy)
+    edit_config(copy, transformers_weights=None)
+    (copy / "adapter_config.json").write_text('{"base_model_name_or_path": "x"}')
+    assert "weights from elsewhere" in refusal(copy)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"architectures": 5}, {"architectures": [5]}, {"architectures": {}}, {"model_type": ["gpt2"]},
+     {"model_type": {"a": 1}}, {"vocab_size": "many"}, {"n_embd": None}],
+)  # fmt: skip
+def test_a_configuration_of_wrong_types(copy: Path, change: dict[str, Any]) -> None:
+    edit_config(copy, **change)
+    said = ""
+    try:
+        load_scorer(str(copy))
+    except ModelError as error:
+        said = str(error)
+    assert "\n" not in said
+
+
 def test_a_missing_head_is_not_drawn_at_random(copy: Path) -> None:
     from safetensors.torch import load_file, save_file
 

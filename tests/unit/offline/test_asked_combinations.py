@@ -30,7 +30,9 @@ def options(tmp_path: Path) -> dict[str, object]:
 
 
 def held(tables: Path, source: str) -> set[frozenset[str]]:
-    opened = RoomTables.open(tables, "small", offline=True, source=source, note_misses=False)
+    opened = RoomTables.open(
+        tables, "small", offline=True, source=source, note_misses=False, backoff=False
+    )
     names = [o.label for o in opened.lookup.objects]
     every = [set(c) for size in (1, 2, 3) for c in combinations(names, size)]
     return {frozenset(c) for c in every if opened.classify(sorted(c)).answered_by == "table"}
@@ -41,7 +43,7 @@ def test_after_the_next_build_the_same_question_is_a_hit(
     tmp_path: Path, options: dict[str, object], asked: str
 ) -> None:
     build(scorer=HashScorer(), **options)
-    tables = RoomTables.open(tmp_path, "small", offline=True)
+    tables = RoomTables.open(tmp_path, "small", offline=True, backoff=False)
     assert tables.classify(["toilet", "sink"]).answered_by == "none"
     assert tables.classify_many([["sinks", "TOILET"], ["bed"]])[0].answered_by == "none"
     folder = tmp_path / "small" / "misses"
@@ -49,9 +51,32 @@ def test_after_the_next_build_the_same_question_is_a_hit(
     assert (miss.source, set(miss.objects), miss.times_asked) == ("proxy", {"sink", "toilet"}, 2)
     build(scorer=HashScorer(), **options | ({} if asked == "file" else {"combinations": asked}))
     assert Misses.read(folder).open == ()
-    again = RoomTables.open(tmp_path, "small", offline=True)
+    again = RoomTables.open(tmp_path, "small", offline=True, backoff=False)
     assert again.classify(["toilet", "sink"]).answered_by == "table"
     assert again.classify(["bed"]).answered_by == "table"
+
+
+def test_auto_is_recorded_as_what_it_came_to(tmp_path: Path, options: dict[str, object]) -> None:
+    first = build(scorer=HashScorer(), **options | {"combinations": "auto"})
+    assert SpaceFolder(tmp_path, "small").current().manifest.settings.combinations == "all"
+    again = build(scorer=HashScorer(), **options | {"combinations": "all"})
+    assert (again.published, again.version) == (False, first.version)
+
+
+def test_auto_of_many_sentences_takes_misses_in_and_without_any_publishes_nothing(
+    tmp_path: Path, options: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("roomtables.offline.combinations.MOST_SENTENCES", 10)
+    auto = options | {"combinations": "auto", "counts": None}
+    first = build(scorer=HashScorer(), **auto)
+    assert SpaceFolder(tmp_path, "small").current().manifest.combinations == {"proxy": 0}
+    same = build(scorer=HashScorer(), **auto)
+    assert (same.published, same.version) == (False, first.version)
+    MissLog(tmp_path / "small" / "misses").note("proxy", [("sink", "stove")])
+    assert build(scorer=HashScorer(), **auto).sentences_scored == 3
+    assert held(tmp_path, "proxy") == {frozenset(["sink", "stove"])}
+    again = build(scorer=HashScorer(), **auto)
+    assert (again.published, again.sentences_scored) == (False, 0)
 
 
 def test_misses_are_added_to_what_is_held_and_scored_alone(
@@ -131,7 +156,7 @@ def test_the_misses_command_lists_what_no_table_held(
     build(scorer=HashScorer(), **options)
     command = ["misses", "--tables", str(tmp_path), "--labels", "small"]
     assert json.loads(CliRunner().invoke(main, [*command, "--format", "json"]).output) == []
-    RoomTables.open(tmp_path, "small", offline=True).classify(["sink", "stove"])
+    RoomTables.open(tmp_path, "small", offline=True, backoff=False).classify(["sink", "stove"])
     (row,) = json.loads(CliRunner().invoke(main, [*command, "--format", "json"]).output)
     assert set(row) == {"source", "objects", "times_asked", "last_asked"}
     assert (row["source"], set(row["objects"]), row["times_asked"]) == (

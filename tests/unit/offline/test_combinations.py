@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roomtables.config import load_labels
 from roomtables.errors import ConfigError
 from roomtables.offline.combinations import (
     Asked,
     all_combinations,
     check_key_size,
     query_frames,
+    resolve,
 )
 from roomtables.sentences import Template
 from roomtables.storage.lookup import key_bits, pack_keys
@@ -25,6 +27,22 @@ BY_RANK = ["toilet", "bed", "stove", "sink"]
 
 def test_mpcat40_has_7175():
     assert count_combinations(35, 3) == 7175 == 35 + comb(35, 2) + comb(35, 3)
+
+
+@pytest.mark.parametrize(
+    ("labels", "k", "sources", "wanted"),
+    [
+        ("mpcat40", 3, 2, "all"),  # 2 x 165,025 sentences
+        ("mpcat40", 4, 1, "all"),  # 1,369,305
+        ("mpcat40", 4, 2, "misses"),
+        ("household", 1, 1, "all"),
+        ("household", 3, 1, "misses"),
+        ("nyuclass", 3, 1, "misses"),
+    ],
+)
+def test_auto_is_all_up_to_two_million_sentences_over_all_sources(labels, k, sources, wanted):
+    assert resolve("auto", load_labels(labels), k, sources) == wanted
+    assert resolve("none", load_labels(labels), k, sources) == "none"
 
 
 @given(st.integers(1, 9), st.integers(1, 4))

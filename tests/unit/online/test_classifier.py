@@ -40,7 +40,8 @@ COUNTS = {
 LOGGED = [["bed", "lamp"], ["oven", "sink", "towel"], ["sink"]]
 NAMES = [
     "bed", "Beds", "chest_of_drawers", "lamp", " LAMP ", "oven", "sink", "sinks", "towel",
-    "towels", "unicorn", "Unicorn", "gizmo", "", "  ",
+    "towels", "unicorn", "Unicorn", "gizmo", "", "  ", "Bed_12", "ChestOfDrawers", "Gizmo-7",
+    "old oil lamp", "towel on the unicorn",
 ]  # fmt: skip
 RULES = ("query", "calibrated", "pooled")
 SOURCES = ("proxy", "ground_truth")
@@ -79,22 +80,33 @@ def check(found: Prediction, decision: PlainDecision, names: Sequence[str]) -> N
     assert list(found.unknown_objects) == expected.unknown
     assert found.answered_by == expected.answered_by
     assert found.probabilities == pytest.approx(expected.probabilities, rel=1e-6)
-    assert (found.rule, found.source) == (decision.rule, decision.source)
+    assert (found.rule, found.source) == (expected.rule, decision.source)
+    assert found.backed_off == (expected.rule != decision.rule)
+    assert found.read_as == expected.read_as
 
 
 @pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("held", ["all", "logged"])
 @settings(max_examples=12, deadline=None)
-@given(rooms=st.lists(st.lists(st.sampled_from(NAMES), max_size=12), max_size=6))
+@given(
+    rooms=st.lists(st.lists(st.sampled_from(NAMES), max_size=12), max_size=6), backoff=st.booleans()
+)
 def test_one_room_and_many_are_decided_by_the_definitions(
-    built: dict[str, Path], rule: str, source: str, held: str, rooms: list[list[str]]
+    built: dict[str, Path],
+    rule: str,
+    source: str,
+    held: str,
+    rooms: list[list[str]],
+    backoff: bool,
 ) -> None:
-    tables = RoomTables.open(built[held], "flat", offline=True, rule=rule, source=source)
+    decision = {"rule": rule, "source": source, "backoff": backoff}
+    tables = RoomTables.open(built[held], "flat", offline=True, **decision)  # type: ignore[arg-type]
+    expected = plain(held=held == "all", **decision)  # type: ignore[arg-type]
     many = tables.classify_many(rooms)
     assert len(many) == len(rooms)
     for names, one, found in zip(rooms, map(tables.classify, rooms), many, strict=True):
-        check(one, plain(rule, source, held == "all"), names)
+        check(one, expected, names)
         assert one.as_json() == found.as_json()
     assert many.rooms == [prediction.room for prediction in many]
 

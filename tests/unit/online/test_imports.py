@@ -74,6 +74,24 @@ def test_a_miss_without_torch_is_answered_by_nobody_and_said_once(tables: Path) 
     assert done.stderr.count("no language model here") == 1
 
 
+def test_without_inflect_unlisted_names_stay_unknown_and_it_is_said_once(tables: Path) -> None:
+    code = FORBID.format(names=("inflect",)) + (
+        "from roomtables import RoomTables\n"
+        "from support import HashScorer\n"
+        "tables = RoomTables.open(sys.argv[1], 'small', scorer=HashScorer())\n"
+        "for _ in range(3):\n"
+        "    found = tables.classify(['sink', 'unicorn'])\n"
+        "    print(found.room is not None, found.unknown_objects)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tables)],
+        capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )  # fmt: skip
+    assert done.stdout == "True ('unicorn',)\n" * 3
+    assert done.stderr.count("pip install 'roomtables[robot]'") == 1
+
+
 def test_the_command_imports_no_tensors_and_no_tables_library(tables: Path) -> None:
     answer, modules = run(COMMAND, tables).splitlines()
     assert json.loads(answer)["answered_by"] == "table"

@@ -144,7 +144,7 @@ def from_sql(connection: Any, call: str) -> Numbers:
     _, rows = select(connection, f"from {call}")
     compared = [row[1] for row in rows]
     assert compared == sorted(compared, reverse=True)
-    return {room: (nats, p) for room, nats, p in rows}
+    return {room: (nats, p) for room, nats, p, *_ in rows}
 
 
 def from_arrays(tables: RoomTables, objects: Sequence[str]) -> Numbers:
@@ -156,16 +156,16 @@ def from_arrays(tables: RoomTables, objects: Sequence[str]) -> Numbers:
     names = [lookup.rooms[number].label for number in predicted]
     chosen = [names.index(room) for room in sorted(decision.rooms or names)]
     bias = arrays.bias[chosen]
-    if decision.rule == "pooled":
+    ranks = sorted(int(arrays.ranks[number]) for number in numbers)[: lookup.k]
+    (key,) = pack_keys(np.array([ranks + [0] * (lookup.k - len(ranks))]), lookup.k)
+    rows = np.flatnonzero(arrays.keys == key)
+    if decision.rule == "pooled" or (decision.backoff and not len(rows)):
         logits = arrays.room_logits[numbers][:, [predicted[place] for place in chosen]]
         weight = decision.prior_weight if decision.source == "proxy" else 0
         adjusted = rules.adjusted(logits, bias, weight)
         weights = rules.evidence_weights(adjusted, decision.evidence_power)
         compared = rules.evidence(adjusted, weights).sum(axis=0)
     else:
-        ranks = sorted(int(arrays.ranks[number]) for number in numbers)[: lookup.k]
-        (key,) = pack_keys(np.array([ranks + [0] * (lookup.k - len(ranks))]), lookup.k)
-        rows = np.flatnonzero(arrays.keys == key)
         if not len(rows):
             return {}
         compared = arrays.scores[rows[0]][chosen].astype(float)
@@ -206,9 +206,10 @@ MACROS = {"query": "answers", "calibrated": "calibrated", "pooled": "p_room_give
 
 def check_tables(case: Case, published: RoomTables, connection: Any) -> None:
     """Without a model: every rule and source, all rooms and some, in SQL and in Python."""
-    for rule, source, rooms in product(RULES, SOURCES, ((), case.candidates)):
-        tables = published.deciding(rule=rule, source=source, rooms=rooms)
-        plain = case.plain(rule, source, rooms=rooms)
+    every = product(RULES, SOURCES, ((), case.candidates), (True, False))
+    for rule, source, rooms, backoff in every:
+        tables = published.deciding(rule=rule, source=source, rooms=rooms, backoff=backoff)
+        plain = case.plain(rule, source, rooms=rooms, backoff=backoff)
         among = f", among := {sql_list(rooms)}" if rooms else ""
         many = tables.classify_many(case.questions)
         for objects, batched in zip(case.questions, many, strict=True):
@@ -218,10 +219,15 @@ def check_tables(case: Case, published: RoomTables, connection: Any) -> None:
                 "classify_many": from_prediction(batched),
                 "arrays": from_arrays(tables, objects),
             }
-            agree(ways, expected.probabilities, (rule, source, rooms, objects))
+            agree(ways, expected.probabilities, (rule, source, rooms, backoff, objects))
             assert list(one.objects) == list(batched.objects) == expected.objects
+            assert one.rule == batched.rule == expected.rule
         assert many.rooms == [tables.classify(objects).room for objects in case.questions]
-        call = f"{MACROS[rule]}({sql_list(objects)}, from_source := '{source}'{among})"
+        more = f"from_source := '{source}'{among}"
+        if backoff:
+            call = f"decided({sql_list(objects)}, by_rule := '{rule}', {more})"
+        else:
+            call = f"{MACROS[rule]}({sql_list(objects)}, {more})"
         agree(ways | {"SQL": from_sql(connection, call)}, expected.probabilities, call)
 
 

@@ -263,7 +263,7 @@ def _strange_space(document: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (_nan_box, "node R0: box is not three finite numbers"),
+        (_nan_box, r"scene_dsg\.json: invalid JSON \(NaN\)"),
         (_null_box, "node R0: box is not three finite numbers"),
         (_large_id, "does not fit 64 bits"),
         (_text_id, r"nodes\[0\]: expected id, layer and attributes"),

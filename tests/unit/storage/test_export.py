@@ -19,9 +19,10 @@ from click.testing import CliRunner
 
 from roomtables import RoomTables, build
 from roomtables.cli import main
-from roomtables.errors import InputError, StoreError
+from roomtables.errors import InputError, ModelError, StoreError
 from roomtables.storage.export import export
-from roomtables.storage.versions import SpaceFolder
+from roomtables.storage.lookup import Lookup
+from roomtables.storage.versions import SpaceFolder, Version
 from support import HashScorer, small_space, write_space
 
 EVERY = [
@@ -93,6 +94,29 @@ def test_bad_requests_leave_nothing_behind(tables: Path, tmp_path: Path) -> None
         export(tables, "nowhere", tmp_path / "robot.tar")
     with pytest.raises(StoreError, match="cannot write"):
         export(tables, "small", tmp_path / "no" / "such" / "folder.tar")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_is_packed_beside_the_tables_and_noted(tables: Path, tmp_path: Path) -> None:
+    def write_model(version: Version, lookup: Lookup, folder: Path) -> None:
+        assert [label.label for label in lookup.objects] == ["bed", "sink", "stove", "toilet"]
+        (folder / "model.onnx").write_bytes(version.name.encode())
+
+    export(tables, "small", tmp_path / "robot.tar", write_model)
+    folder = unpack(tmp_path / "robot.tar", tmp_path / "robot")
+    version = SpaceFolder(folder / "tables", "small").current()
+    assert (version.path / "model" / "model.onnx").read_text() == version.name
+    assert "model/model.onnx" in version.manifest.files
+    version.verify()
+
+
+def test_a_model_that_cannot_be_written_leaves_nothing_behind(tables: Path, tmp_path: Path) -> None:
+    def refuse(version: Version, lookup: Lookup, folder: Path) -> None:
+        (folder / "model.onnx").write_bytes(b"half")
+        raise ModelError("no")
+
+    with pytest.raises(ModelError, match="no"):
+        export(tables, "small", tmp_path / "robot.tar", refuse)
     assert list(tmp_path.iterdir()) == []
 
 

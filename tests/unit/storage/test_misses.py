@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
@@ -35,7 +35,7 @@ def test_what_is_noted_is_counted(tmp_path: Path) -> None:
         ("ground_truth", ("bed", "lamp"), 1),
         ("proxy", ("sink",), 1),
     ]
-    assert all(datetime.now(UTC) - m.last_asked < timedelta(minutes=1) for m in found)
+    assert all(datetime.now(timezone.utc) - m.last_asked < timedelta(minutes=1) for m in found)
 
 
 def test_no_folder_is_no_misses(tmp_path: Path) -> None:
@@ -60,12 +60,39 @@ def test_a_torn_line_costs_only_itself(tmp_path: Path) -> None:
         b'{"source": "proxy", "objects": "bed", "asked": "2026-01-01T00:00:00+00:00"}',
         b'{"source": "proxy", "objects": [], "asked": "2026-01-01T00:00:00+00:00"}',
         b'{"source": "proxy", "objects": [3], "asked": "2026-01-01T00:00:00+00:00"}',
+        b'{"source": "proxy", "objects": ["a", "b"], "asked": "0001-01-01T00:00:00+14:00"}',
+        b'{"source": "proxy", "objects": ["a"], "asked": "9999-12-31T23:59:59-14:00"}',
+        b'{"source": "proxy", "objects": ["a"], "asked": 1e999}',
+        b'{"source": "proxy", "objects": ["\\ud800"], "asked": "2026-01-01T00:00:00+00:00"}',
+        b'{"source": "gossip", "objects": ["a"], "asked": "2026-01-01T00:00:00+00:00"}',
+        b'{"source": ["proxy"], "objects": ["a"], "asked": "2026-01-01T00:00:00+00:00"}',
+        b'{"source": "proxy", "objects": ["%s"], "asked": "2026-01-01"}' % (b"x" * 1001),
+        b'{"source": "proxy", "objects": [%s"a"], "asked": "2026-01-01"}' % (b'"a",' * 8),
+        b"1" * 5000, b"[" * 60_000, b"x" * 200_000,
     ],
 )  # fmt: skip
-def test_lines_that_are_no_misses_are_skipped(tmp_path: Path, line: bytes) -> None:
+def test_lines_that_are_no_misses_are_skipped_counted_and_named_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, line: bytes
+) -> None:
     good = b'{"source": "proxy", "objects": ["bed"], "asked": "2026-01-01T00:00:00+00:00"}'
-    (tmp_path / "robot-1.jsonl").write_bytes(line + b"\n" + good + b"\n")
+    path = tmp_path / "robot-1.jsonl"
+    path.write_bytes(line + b"\n" + line + b"\n\n" + good + b"\n")
     assert asked(tmp_path) == {("bed",): 1}
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said.startswith(f"{path}: lines that are no misses: 2, such as the one at byte 0: ")
+    assert len(said) < len(str(path)) + 200
+    Misses.read(tmp_path).take_in()
+    caplog.clear()
+    assert asked(tmp_path) == {}
+    assert not caplog.records  # what was read is not read again
+
+
+def test_pipes_and_files_without_a_name_in_text_are_no_misses(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.jsonl")
+    (tmp_path / os.fsdecode(b"robot-\xff.jsonl")).write_bytes(b"x\n")
+    MissLog(tmp_path).note("proxy", [("bed",)])
+    assert asked(tmp_path) == {("bed",): 1}
+    Misses.read(tmp_path).take_in()
 
 
 def test_taken_in_is_listed_no_more_and_what_comes_later_is(tmp_path: Path) -> None:
@@ -94,8 +121,59 @@ def test_files_read_and_idle_are_removed(tmp_path: Path) -> None:
     assert asked(tmp_path) == {("sink",): 1}
 
 
+def test_what_no_table_can_hold_is_not_remembered(tmp_path: Path) -> None:
+    log = MissLog(tmp_path)
+    log.note("proxy", [("bed",), *[(f"junk {n}",) for n in range(500)]])
+    Misses.read(tmp_path).take_in(known={"bed", "sink"})
+    assert asked(tmp_path) == {}
+    assert Misses.read(tmp_path).taken == {("proxy", ("bed",))}
+    assert (tmp_path / "taken.json").stat().st_size < 200
+
+
+def test_what_is_remembered_is_bounded_and_the_most_asked_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(misses, "TAKEN", 2)
+    log = MissLog(tmp_path)
+    log.note("proxy", [("bed",), ("sink",), ("lamp",), ("lamp",), ("sink",)])
+    Misses.read(tmp_path).take_in()
+    assert Misses.read(tmp_path).taken == {("proxy", ("lamp",)), ("proxy", ("sink",))}
+    assert "2 of 3 combinations are remembered" in caplog.text
+    assert asked(tmp_path) == {}  # taken in all the same
+
+
+def test_a_crash_before_a_file_is_removed_does_not_open_its_misses_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    MissLog(tmp_path).note("proxy", [("bed",)])
+    (path,) = tmp_path.glob("*.jsonl")
+    os.utime(path, (time.time() - 7200,) * 2)
+
+    def crash(_: Path) -> None:
+        raise KeyboardInterrupt
+
+    found = Misses.read(tmp_path)
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", crash)
+        with pytest.raises(KeyboardInterrupt):
+            found.take_in()
+    assert path.exists()
+    assert asked(tmp_path) == {}
+    Misses.read(tmp_path).take_in()
+    assert not path.exists()
+
+
 @pytest.mark.parametrize(
-    "content", ["", "{", "[]", '{"read": 3}', '{"read": {}, "combinations": 7}']
+    "content",
+    [
+        "",
+        "{",
+        "[]",
+        '{"read": {"x": 1e999}, "combinations": []}',
+        '{"read": {}, "combinations": [["proxy", "\\ud800"]]}',
+        '{"read": 3}',
+        '{"read": {}, "combinations": 7}',
+    ],
 )
 def test_a_damaged_note_of_what_was_read_means_read_again(tmp_path: Path, content: str) -> None:
     MissLog(tmp_path).note("proxy", [("bed",)])

@@ -13,7 +13,7 @@ from roomtables.cli import exploring, main
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
 from roomtables.storage.views import connect, guide, select
-from tiny_tables import OBJECTS, ROOMS, FitScorer, write_labels
+from tiny_tables import OBJECTS, ROOMS, FitScorer, build_tables, write_labels
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_p_room_given_is_rule_pooled(
     )
     expected = rule.classify(objects)
     assert rows[0][0] == expected.room
-    assert {room: p for room, _, p in rows} == pytest.approx(expected.probabilities, abs=1e-12)
+    assert {room: p for room, _, p, *_ in rows} == pytest.approx(expected.probabilities, abs=1e-12)
 
 
 def test_picked_and_answers_are_rule_query(connection, tables):
@@ -97,14 +97,54 @@ def test_macros_go_by_the_manifest_where_nothing_else_is_said(
     expected = tables.deciding(**changes).classify(objects)
     _, rows = select(connection, f"from {macro}({objects}{more})")
     assert rows[0][0] == expected.room
-    assert {room: p for room, _, p in rows} == pytest.approx(expected.probabilities, abs=1e-9)
+    assert {room: p for room, _, p, *_ in rows} == pytest.approx(expected.probabilities, abs=1e-9)
+
+
+def test_macros_take_every_name_and_say_what_they_could_not_read(connection, tables):
+    given = ["BEDS", "stove", " Oven", "lmap", "unicorn", ""]
+    expected = tables.deciding(rule="pooled").classify(["bed", "oven"])
+    for macro in ("p_room_given", "decided", "answers", "calibrated", "picked"):
+        columns, rows = select(connection, f"from {macro}({given})")
+        assert columns[-1] == "unknown_objects"
+        assert {tuple(row[-1]) for row in rows} == {("lmap", "unicorn")}
+    _, rows = select(connection, f"from p_room_given({given})")
+    assert {row[0]: row[2] for row in rows} == pytest.approx(expected.probabilities, abs=1e-12)
+    assert select(connection, f"from read_names({given[:5]})")[1] == [
+        ("BEDS", "bed", "plural", None),
+        ("stove", "oven", "synonym", None),
+        (" Oven", "oven", "label", None),
+        ("lmap", None, None, "lamp"),
+        ("unicorn", None, None, None),
+    ]
+
+
+def test_a_room_of_unknown_names_is_one_row_without_an_answer(connection):
+    _, rows = select(connection, "from decided(['toilte', 'snk'])")
+    assert rows == [(None, None, None, None, ["snk", "toilte"])]
+    assert select(connection, "from decided([])")[1] == []
+
+
+def test_what_the_tables_lack_is_decided_by_rule_pooled(tmp_path):
+    log = tmp_path / "log.jsonl"
+    log.write_text('{"room_id": "1", "objects": ["bed", "lamp"]}\n')
+    folder = build_tables(tmp_path, str(log))
+    tables = RoomTables.open(folder, "flat", offline=True, note_misses=False)
+    connection = connect(folder, tables.version)
+    for objects, rule in ((["bed", "lamp"], "query"), (["oven", "chair"], "pooled")):
+        expected = tables.classify(objects)
+        _, rows = select(connection, f"from decided({objects})")
+        assert expected.rule == rule
+        assert {row[3] for row in rows} == {rule}
+        assert {row[0]: row[2] for row in rows} == pytest.approx(expected.probabilities, abs=1e-9)
+    assert select(connection, "from decided(['oven', 'chair'], backoff := false)")[1] == []
+    connection.close()
 
 
 def test_fewer_objects_may_be_picked_than_the_sentences_name(connection, tables):
-    ((_, best, _),) = select(connection, f"from picked({list(OBJECTS)}, k := 1)")[1]
+    ((_, best, *_),) = select(connection, f"from picked({list(OBJECTS)}, k := 1)")[1]
     expected = tables.deciding(rule="query").classify([best])
     _, rows = select(connection, f"from answers({list(OBJECTS)}, k := 1)")
-    assert {room: p for room, _, p in rows} == pytest.approx(expected.probabilities, abs=1e-9)
+    assert {room: p for room, _, p, *_ in rows} == pytest.approx(expected.probabilities, abs=1e-9)
 
 
 def test_informative_objects_and_signatures(connection):

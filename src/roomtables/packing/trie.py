@@ -1,60 +1,17 @@
-"""Token sequences sorted, and packed so that a shared prefix runs through the model once.
+"""The token trie: sequences that begin alike share nodes, and each node runs through a model once.
 
-Two ways of packing, both in numpy. The token trie: sequences that begin alike share nodes; a leaf
-is not run, as its probability is read from its parent; the inner nodes in preorder are cut into
-rows, and a row repeats the ancestors of its first node, which later nodes attend to. Groups:
-consecutive sequences with a common prefix, for models with a key-value cache but no packed mask.
+A leaf is not run, as its probability is read from its parent. The inner nodes in preorder are cut
+into rows, and a row repeats the ancestors of its first node, which later nodes attend to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
-import numpy.typing as npt
 
-IntArray = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Sequences:
-    """Distinct token sequences in lexicographic order, so that shared prefixes lie together.
-
-    ``matrix`` has shape (sequences, longest), -1 beyond each of ``lengths``.
-    """
-
-    matrix: IntArray
-    lengths: IntArray
-
-    def __len__(self) -> int:
-        return len(self.matrix)
-
-    def row(self, index: int) -> list[int]:
-        """The tokens of one sequence, without padding."""
-        tokens: list[int] = self.matrix[index, : self.lengths[index]].tolist()
-        return tokens
-
-    def take(self, chosen: npt.NDArray[np.bool_]) -> Sequences:
-        """The chosen sequences, still sorted, no wider than they need."""
-        lengths = self.lengths[chosen]
-        return Sequences(self.matrix[chosen, : lengths.max(initial=0)], lengths)
-
-
-def sort_sequences(encoded: Sequence[Sequence[int]]) -> tuple[Sequences, IntArray]:
-    """Sorted distinct sequences, and for each one given its index among them, ``[given]``."""
-    lengths = np.fromiter(map(len, encoded), np.int64, len(encoded))
-    flat = np.fromiter(chain.from_iterable(encoded), np.int64, lengths.sum())
-    matrix = np.full((len(encoded), lengths.max(initial=0)), -1, np.int64)
-    matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = flat
-    order = np.lexsort(matrix.T[::-1])
-    ordered = matrix[order]
-    first = np.ones(len(order), bool)
-    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    index = np.empty(len(order), np.int64)
-    index[order] = np.cumsum(first) - 1
-    return Sequences(ordered[first], lengths[order][first]), index
+from roomtables.packing.sequences import FloatArray, IntArray, Sequences
 
 
 @dataclass(frozen=True)
@@ -217,49 +174,18 @@ def lay_out(trie: Trie, rows: list[Row]) -> Layout:
     )
 
 
-@dataclass(frozen=True)
-class Group:
-    """Sequences ``start`` to ``stop``, whose first ``prefix`` tokens are the same."""
+def sum_paths(
+    trie: Trie, row_nodes: int, budget: int, read: Callable[[Layout], FloatArray]
+) -> FloatArray:
+    """Log probability in nats of each sequence of a trie, ``[sequences]``.
 
-    start: int
-    stop: int
-    prefix: int
-
-    @property
-    def rows(self) -> slice:
-        """The group's sequences as a slice of the sorted ones."""
-        return slice(self.start, self.stop)
-
-
-# What one more pair of forward passes costs, in tokens: merging groups saves it.
-_CALL_TOKENS = 8
-
-
-def group_by_prefix(sequences: Sequences, budget: int) -> Iterator[Group]:
-    """Consecutive sequences with a common prefix, merged while that runs fewer tokens.
-
-    A prefix is shorter than its sequences by at least one token. A group's continuations,
-    prefix included, fill at most ``budget`` tokens.
+    ``read`` runs a layout of at most ``budget`` nodes, in rows of ``row_nodes``, and returns the
+    log probability of each of its ``edges``.
     """
-    lengths = sequences.lengths.tolist()
-    common = _common_prefixes(sequences)
-    start, prefix, longest = 0, lengths[0] - 1, lengths[0]
-    for index in range(1, len(lengths)):
-        size = index - start
-        merged = min(prefix, common[index], lengths[index] - 1)
-        extra = (prefix - merged) * (size - 1) + lengths[index] - merged
-        longer = max(longest, lengths[index])
-        if extra <= lengths[index] + _CALL_TOKENS and (size + 1) * longer <= budget:
-            prefix, longest = merged, longer
-            continue
-        yield Group(start, index, prefix)
-        start, prefix, longest = index, lengths[index] - 1, lengths[index]
-    yield Group(start, len(lengths), prefix)
-
-
-def _common_prefixes(sequences: Sequences) -> list[int]:
-    """Length of the prefix that each sequence shares with the one before it."""
-    same = np.logical_and.accumulate(sequences.matrix[1:] == sequences.matrix[:-1], axis=1)
-    within = np.minimum(same.sum(axis=1), sequences.lengths[1:])
-    common: list[int] = [0, *within.tolist()]
-    return common
+    edge = np.zeros(len(trie.edge_source) + 1)
+    for batch in batch_rows(cut_rows(trie, min(row_nodes, budget)), budget):
+        layout = lay_out(trie, batch)
+        edge[layout.edges] = read(layout)
+    # Paths are padded with -1, which is the zero at the end.
+    sums: FloatArray = edge[trie.path].sum(axis=1)
+    return sums

@@ -6,16 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomtables.lm.trie import (
-    Sequences,
-    Trie,
-    batch_rows,
-    build_trie,
-    cut_rows,
-    group_by_prefix,
-    lay_out,
-    sort_sequences,
-)
+from roomtables.packing.sequences import Sequences, group_by_prefix, sort_sequences
+from roomtables.packing.trie import Trie, batch_rows, build_trie, cut_rows, lay_out
 
 token_lists = st.lists(st.lists(st.integers(0, 3), min_size=2, max_size=7), min_size=1, max_size=25)
 

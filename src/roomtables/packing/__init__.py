@@ -1,0 +1,1 @@
+"""Token sequences sorted, and packed so that a shared prefix runs through a model once."""

@@ -1,0 +1,152 @@
+"""Token sequences sorted, and the batches of them that a model without a packed mask can run.
+
+Padded batches hold sequences of similar length. Groups are consecutive sequences with a common
+prefix, for models with a key-value cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+import numpy.typing as npt
+
+IntArray = npt.NDArray[np.int64]
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sequences:
+    """Distinct token sequences in lexicographic order, so that shared prefixes lie together.
+
+    ``matrix`` has shape (sequences, longest), -1 beyond each of ``lengths``.
+    """
+
+    matrix: IntArray
+    lengths: IntArray
+
+    def __len__(self) -> int:
+        return len(self.matrix)
+
+    def row(self, index: int) -> list[int]:
+        """The tokens of one sequence, without padding."""
+        tokens: list[int] = self.matrix[index, : self.lengths[index]].tolist()
+        return tokens
+
+    def take(self, chosen: npt.NDArray[np.bool_]) -> Sequences:
+        """The chosen sequences, still sorted, no wider than they need."""
+        lengths = self.lengths[chosen]
+        return Sequences(self.matrix[chosen, : lengths.max(initial=0)], lengths)
+
+
+def sort_sequences(encoded: Sequence[Sequence[int]]) -> tuple[Sequences, IntArray]:
+    """Sorted distinct sequences, and for each one given its index among them, ``[given]``."""
+    lengths = np.fromiter(map(len, encoded), np.int64, len(encoded))
+    flat = np.fromiter(chain.from_iterable(encoded), np.int64, lengths.sum())
+    matrix = np.full((len(encoded), lengths.max(initial=0)), -1, np.int64)
+    matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = flat
+    order = np.lexsort(matrix.T[::-1])
+    ordered = matrix[order]
+    first = np.ones(len(order), bool)
+    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    index = np.empty(len(order), np.int64)
+    index[order] = np.cumsum(first) - 1
+    return Sequences(ordered[first], lengths[order][first]), index
+
+
+@dataclass(frozen=True)
+class PaddedBatch:
+    """Sequences of similar length, padded on the right, and what to read from them.
+
+    ``token`` and ``present`` have shape (sequences, longest - 1): the last token is read, not run.
+    """
+
+    rows: IntArray
+    """The sequences of the batch, indices into all."""
+    token: IntArray
+    """Token ids, 0 where there is none."""
+    present: npt.NDArray[np.bool_]
+    """Where there is a token."""
+    positions: IntArray
+    """Flat indices of the positions that are read, ascending."""
+    line: IntArray
+    """The line of each position."""
+    target: IntArray
+    """The token whose log probability is read at each position."""
+
+
+def padded_batches(sequences: Sequences, budget: int) -> Iterator[PaddedBatch]:
+    """Batches of at most ``budget`` padded tokens, the longest sequences first."""
+    for rows in batches_by_length(sequences.lengths, budget):
+        width = int(sequences.lengths[rows].max()) - 1
+        matrix = sequences.matrix[rows, : width + 1]
+        present = matrix >= 0
+        line, column = np.nonzero(present[:, 1:])
+        yield PaddedBatch(
+            rows=rows,
+            token=np.where(present, matrix, 0)[:, :width],
+            present=present[:, :width],
+            positions=line * width + column,
+            line=line,
+            target=matrix[line, column + 1],
+        )
+
+
+def batches_by_length(lengths: IntArray, budget: int) -> Iterator[IntArray]:
+    """Indices of sequences, longest first, in batches of at most ``budget`` padded tokens."""
+    order = np.argsort(-lengths, kind="stable")
+    start = 0
+    while start < len(order):
+        rows = max(1, budget // int(lengths[order[start]]))
+        yield order[start : start + rows]
+        start += rows
+
+
+@dataclass(frozen=True)
+class Group:
+    """Sequences ``start`` to ``stop``, whose first ``prefix`` tokens are the same."""
+
+    start: int
+    stop: int
+    prefix: int
+
+    @property
+    def rows(self) -> slice:
+        """The group's sequences as a slice of the sorted ones."""
+        return slice(self.start, self.stop)
+
+
+# What one more pair of forward passes costs, in tokens: merging groups saves it.
+_CALL_TOKENS = 8
+
+
+def group_by_prefix(sequences: Sequences, budget: int) -> Iterator[Group]:
+    """Consecutive sequences with a common prefix, merged while that runs fewer tokens.
+
+    A prefix is shorter than its sequences by at least one token. A group's continuations,
+    prefix included, fill at most ``budget`` tokens.
+    """
+    lengths = sequences.lengths.tolist()
+    common = _common_prefixes(sequences)
+    start, prefix, longest = 0, lengths[0] - 1, lengths[0]
+    for index in range(1, len(lengths)):
+        size = index - start
+        merged = min(prefix, common[index], lengths[index] - 1)
+        extra = (prefix - merged) * (size - 1) + lengths[index] - merged
+        longer = max(longest, lengths[index])
+        if extra <= lengths[index] + _CALL_TOKENS and (size + 1) * longer <= budget:
+            prefix, longest = merged, longer
+            continue
+        yield Group(start, index, prefix)
+        start, prefix, longest = index, lengths[index] - 1, lengths[index]
+    yield Group(start, len(lengths), prefix)
+
+
+def _common_prefixes(sequences: Sequences) -> list[int]:
+    """Length of the prefix that each sequence shares with the one before it."""
+    same = np.logical_and.accumulate(sequences.matrix[1:] == sequences.matrix[:-1], axis=1)
+    within = np.minimum(same.sum(axis=1), sequences.lengths[1:])
+    common: list[int] = [0, *within.tolist()]
+    return common

@@ -1,0 +1,84 @@
+"""Which sentences a language model can score, by their tokens, and what is said of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from roomtables.errors import ModelError
+
+
+@dataclass(frozen=True)
+class TokenLimits:
+    """What a model knows and reads.
+
+    Attributes
+    ----------
+    name : the model's, for messages
+    vocabulary : the number of tokens that it knows
+    context : the most tokens of a sentence that it reads; ``None``: no limit
+    appended_eos : the token that its tokenizer puts last, which is not scored; ``None``: none
+    """
+
+    name: str
+    vocabulary: int
+    context: int | None
+    appended_eos: int | None = None
+
+    def refuse_empty(self, sentences: Sequence[str]) -> None:
+        """Refuse what is no text, or holds none.
+
+        Raises
+        ------
+        ModelError
+            A sentence is empty.
+        """
+        for sentence in sentences:
+            if not isinstance(sentence, str) or not sentence.strip():
+                raise ModelError(f"{self.name} cannot score an empty sentence ({sentence!r})")
+
+    def scorable(
+        self, sentences: Sequence[str], ids: Sequence[Sequence[int]]
+    ) -> list[Sequence[int]]:
+        """What a causal model scores of the token ids of each sentence: less an appended EOS.
+
+        Raises
+        ------
+        ModelError
+            They are too few, more than the model reads, or unknown to the model.
+        """
+        eos = self.appended_eos
+        if eos is not None:
+            ids = [tokens[:-1] if tokens and tokens[-1] == eos else tokens for tokens in ids]
+        for sentence, tokens in zip(sentences, ids, strict=True):
+            self.check(sentence, tokens, fewest=2)
+        return list(ids)
+
+    def check(self, sentence: str, tokens: Sequence[int], fewest: int) -> None:
+        """Refuse ``tokens`` that the model cannot score.
+
+        Raises
+        ------
+        ModelError
+            They are fewer than ``fewest``, more than the model reads, or unknown to the model.
+        """
+        if len(tokens) < fewest:
+            raise ModelError(
+                f"{self.name} sees {len(tokens)} token(s) in {quoted(sentence)}, too few to score; "
+                "use a longer sentence"
+            )
+        if self.context is not None and len(tokens) > self.context:
+            raise ModelError(
+                f"{quoted(sentence)} has {len(tokens)} tokens, more than the {self.context} that "
+                f"{self.name} reads; ask for fewer objects (-k), or use another --model"
+            )
+        if max(tokens) >= self.vocabulary:
+            raise ModelError(
+                f"the tokenizer of {self.name} gives token {max(tokens)}, but the model knows only "
+                f"{self.vocabulary}; save the tokenizer that the model was trained with"
+            )
+
+
+def quoted(sentence: str) -> str:
+    """The sentence for an error message, shortened in the middle of a long one."""
+    return repr(sentence if len(sentence) <= 120 else f"{sentence[:80]}…{sentence[-30:]}")
