@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`. `make test` runs all
-# tests but those marked slow, of which it runs a small version; `make test-slow` runs those whole.
-# `make test` ends with `make test-robot`: what a robot runs, on the oldest Python that it may have.
+# tests but those marked slow or faults, of which it runs a small version; `make test-slow` and
+# `make test-faults` run those whole. `make test` ends with `make test-robot`: what a robot runs, on
+# the oldest Python that it may have.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -9,6 +10,8 @@ EXAMPLE := src/roomtables/examples/house.jsonl
 DEMO   := $(VENV)/demo-tables
 # Which slow tests `make test-slow` runs: all, or the files and options given.
 SLOW   ?=
+# The same for `make test-faults`.
+FAULTS ?=
 
 # A Python 3.10, as Ubuntu 22.04 and ROS 2 Humble have it: the first that answers, pyenv's too.
 IS_3_10 := import sys; sys.exit(sys.version_info[:2] != (3, 10))
@@ -21,7 +24,7 @@ ROBOT_TESTS := tests/robot tests/unit/scenes $(wildcard tests/unit/test_csv_rows
   tests/unit/test_names.py tests/unit/test_rooms.py tests/unit/test_sentences.py \
   tests/unit/storage/test_misses.py)
 
-.PHONY: demo test test-robot test-on-3.10 wheel test-slow lint household-lm clean
+.PHONY: demo test test-robot test-on-3.10 wheel test-slow test-faults lint household-lm clean
 
 demo: $(VENV)/.installed-lm
 	@echo "== build: p(room | object) for household, and the combinations that the example needs"
@@ -38,7 +41,7 @@ demo: $(VENV)/.installed-lm
 
 # Where no test is collected, pytest exits with 5, and so make fails.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow and not faults"
 	$(MAKE) --no-print-directory test-robot
 
 # From the wheel, with what a robot installs, and without constraints.txt: 3.10 has other releases.
@@ -63,6 +66,9 @@ wheel: $(VENV)/.installed-dev
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow --durations=0 $(SLOW)
+
+test-faults: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m faults --durations=0 $(FAULTS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -22,6 +22,7 @@ from roomtables.config import BuildConfig
 from roomtables.labels import LabelSpace
 from roomtables.storage.lookup import pack_keys
 from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup
+from roomtables.storage.removal import remove_old
 from roomtables.storage.versions import LOOKUP, SpaceFolder
 from support import made_manifest
 
@@ -45,7 +46,7 @@ def publish(tables: Path, generation: int) -> None:
         write_lookup(staging / LOOKUP, space, settings, {"proxy": _source(generation)})
         manifest = made_manifest(staging, labels=space.name, sentences=generation)
         folder.publish(staging, folder.new_name("generate"), manifest)
-    folder.remove_old()
+    remove_old(folder)
 
 
 def _source(generation: int) -> tuple[dict[str, NDArray[Any]], ScoreChunks]:

@@ -112,7 +112,7 @@ def test_killed_builds_lose_nothing_and_readers_never_notice(tmp_path):
     assert done["looks"] > 4
 
 
-@pytest.mark.slow
+@pytest.mark.faults
 def test_many_killed_builds_lose_nothing_and_readers_never_notice(tmp_path):
     done = run_faults(tmp_path, kills=25, seed=1)
     assert done["kills"] == 25

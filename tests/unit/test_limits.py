@@ -12,8 +12,8 @@ PACKAGE = Path(__file__).parents[2] / "src" / "roomtables"
 READERS = {"json": {"load", "loads", "JSONDecoder"}, "csv": {"reader", "DictReader"},
            "yaml": None, "tomllib": None, "tomli": None, "pickle": None,
            "marshal": None}  # fmt: skip
-# Who may: the limits' own home, CSV's, the settings, whose TOML is the user's own file, and the list
-# of inflected names, which the package brings.
+# Who may: the limits' own home, CSV's, the settings, whose TOML is the user's own file, and the
+# list of inflected names, which the package brings.
 ALLOWED = {
     "limits.py": {"json", "yaml"},
     "csv_rows.py": {"csv"},

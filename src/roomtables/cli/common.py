@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import click
 
+from roomtables.cli.interrupts import end_interrupted, interruptible, noticing_interrupts
 from roomtables.cli.progress import write_line
 from roomtables.config import DEFAULT_LABELS
 from roomtables.errors import RoomtablesError, needing
@@ -24,17 +25,23 @@ from roomtables.storage.files import write_aside
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 FORMATS = ("table", "json", "jsonl", "csv")
-INTERRUPTED = 130
 
 
 class Group(click.Group):
-    """A group of commands whose errors are one line on stderr and exit code 1."""
+    """A group of commands whose errors are one line on stderr and exit code 1.
+
+    Interrupted, by SIGINT or SIGTERM, they exit with code 130.
+    """
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        with interruptible():
+            return super().main(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
         logging.addLevelName(logging.WARNING, "warning")
         try:
-            with needing("this command"):
+            with noticing_interrupts(), needing("this command"):
                 return super().invoke(ctx)
         except RoomtablesError as error:
             click.echo(f"error: {' '.join(str(error).split())}", err=True)
@@ -44,8 +51,7 @@ class Group(click.Group):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(1)
         except KeyboardInterrupt:
-            click.echo("interrupted; what is scored is kept", err=True)
-            ctx.exit(INTERRUPTED)
+            end_interrupted(ctx)
 
 
 tables_option = click.option(

@@ -7,7 +7,6 @@ import sys
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
@@ -23,6 +22,7 @@ from roomtables.cli.common import (
 from roomtables.errors import InputError, MissingExtraError
 from roomtables.schemas import SCORES
 from roomtables.storage.files import held
+from roomtables.storage.scratch import scratch
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import Version
 from roomtables.storage.views import connect, guide, select
@@ -124,8 +124,8 @@ def _harlequin(tables: Path, version: Version) -> None:
     """Hand the views to harlequin in a database file of their own, read-only."""
     if find_spec("harlequin") is None:
         raise MissingExtraError("`sql --ui`", "ui")
-    with TemporaryDirectory(prefix="roomtables-") as folder:
-        database = Path(folder) / f"{version.path.parent.name}.duckdb"
+    with scratch("sql") as folder:
+        database = folder / f"{version.path.parent.name}.duckdb"
         connect(tables, version, database).close()
         subprocess.run(
             [sys.executable, "-m", "harlequin", "--read-only", str(database)], check=True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -89,8 +88,6 @@ def build_command(
     with needing("`roomtables build`", "lm"):
         from roomtables.offline.builder import build
 
-    # A service manager's stop is as clean as Ctrl-C.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     found = BuildConfig.load(config, **options)
     report = build(found, tables=tables, progress=sys.stderr.isatty(), wait=wait)
     if format_ == "json":

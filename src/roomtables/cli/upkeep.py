@@ -21,8 +21,9 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.errors import StoreError
+from roomtables.storage.removal import KEPT_VERSIONS
 from roomtables.storage.spaces import find_space
-from roomtables.storage.versions import KEPT_VERSIONS, Version
+from roomtables.storage.versions import Version
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 _CLOCK_SKEW = timedelta(minutes=5)

@@ -35,6 +35,7 @@ from roomtables.storage.derived_lookup import derive_lookup
 from roomtables.storage.files import build_lock, utc_now
 from roomtables.storage.lookup_writer import LookupSettings
 from roomtables.storage.manifest import FileFacts, Manifest, Rate
+from roomtables.storage.removal import remove_left, remove_old
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
@@ -94,7 +95,7 @@ def build(
         version = making.published_already()
         if version is None:
             version = making.publish(started, progress)
-            making.space.remove_old()
+            remove_old(making.space)
         making.inputs.asked.take_in_misses()
     return BuildReport(
         version.manifest.labels,
@@ -147,7 +148,7 @@ class _Making:
         scorer_id = model.scorer_id if inputs.needs_model else None
         recorded = recorded_reads(stages, inputs, scorer_id)
         space = SpaceFolder(tables, inputs.labels.name)
-        space.remove_abandoned()
+        remove_left(space)
         cache = open_cache(tables, scorer_id)
         return cls(stages, recorded, inputs, model, cache, space, space.published())
 

@@ -5,7 +5,6 @@ Nothing is scored and nothing is written under the tables folder.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -33,6 +32,7 @@ from roomtables.schemas import PROXY, literal
 from roomtables.scorer import Scorer
 from roomtables.storage.manifest import Coverage, Rate, count_combinations
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
+from roomtables.storage.scratch import scratch
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 
@@ -103,8 +103,8 @@ def plan(
         counted = _Counted({}, True, held)
     else:
         with (
-            tempfile.TemporaryDirectory(prefix="roomtables-plan-") as folder,
-            workspace(Path(folder)) as work,
+            scratch("plan") as folder,
+            workspace(folder) as work,
         ):
             counted = _Counting(work, inputs, cache).run(stages)
     return _plan(inputs, cache, published, [_with(stage, counted) for stage in decided], counted)

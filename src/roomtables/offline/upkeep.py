@@ -13,8 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from roomtables.errors import StoreError, needing
 from roomtables.schemas import SCORES, literal
+from roomtables.storage.aside import REMOVING, remove_folder
 from roomtables.storage.files import build_lock, is_held, refuse_outside, writing
-from roomtables.storage.versions import CURRENT, KEPT_VERSIONS, MANIFEST, SpaceFolder, Version
+from roomtables.storage.removal import KEPT_VERSIONS, remove_left, remove_old, size_of
+from roomtables.storage.versions import CURRENT, STAGING, SpaceFolder, Version
+
+_LEFT = "left by a killed process"
+_SPILL = ".spill"  # where a merge of parts puts what does not fit into memory
 
 if TYPE_CHECKING:
     from roomtables.storage.score_cache import SentenceCache
@@ -61,9 +66,11 @@ def collect_garbage(
     with build_lock(tables):
         removed = []
         for space in _spaces(tables):
-            removed += _without_versions(tables, space, keep)
+            removed += _from_space(space, keep)
+        for half in (tables / SCORES).glob(f"{REMOVING}*"):
+            removed.append(_remove(tables, half, _LEFT))
         for cache in _caches(tables):
-            cache.end_runs()
+            _end_killed(cache)
             if unused_scores and cache.scorer_id not in _used(tables) and not is_held(cache.folder):
                 removed.append(_remove(tables, cache.folder, "scores of a model not in use"))
                 continue
@@ -92,15 +99,15 @@ def compact(tables: Path) -> list[Compacted]:
     done = []
     with build_lock(tables):
         for cache in _caches(tables):
-            cache.end_runs()
+            _end_killed(cache)
             cache.verify()
-            bytes_before = _size(cache.folder)
+            bytes_before = size_of(cache.folder)
             with speaking_plainly(cache.folder), duckdb.connect() as connection:
-                connection.execute(f"set temp_directory = {literal(cache.folder / '.spill')}")
+                connection.execute(f"set temp_directory = {literal(cache.folder / _SPILL)}")
                 before, after = cache.compact(connection)
-            shutil.rmtree(cache.folder / ".spill", ignore_errors=True)
+            shutil.rmtree(cache.folder / _SPILL, ignore_errors=True)
             done.append(
-                Compacted(cache.scorer_id, before, after, bytes_before, _size(cache.folder))
+                Compacted(cache.scorer_id, before, after, bytes_before, size_of(cache.folder))
             )
     return done
 
@@ -129,8 +136,12 @@ def _require(tables: Path) -> None:
 
 def _spaces(tables: Path) -> Iterator[SpaceFolder]:
     for folder in sorted(tables.glob("[!.]*")):
-        if (folder / CURRENT).is_file() or any(folder.glob(f"*/{MANIFEST}")):
-            yield SpaceFolder(tables, folder.name)
+        if folder.is_symlink() or folder.name == SCORES:
+            continue
+        space = SpaceFolder(tables, folder.name)
+        started = any(folder.glob(f"{STAGING}*"))
+        if started or (folder / CURRENT).is_file() or space.versions():
+            yield space
 
 
 def _caches(tables: Path) -> list[SentenceCache]:
@@ -144,21 +155,19 @@ def _caches(tables: Path) -> list[SentenceCache]:
     return [SentenceCache(tables, folder.name) for folder in folders]
 
 
-def _without_versions(tables: Path, space: SpaceFolder, keep: int) -> list[Removed]:
-    sizes = {path.name: _size(path) for path in space.versions()}
-    removed = [
-        Removed(f"{space.labels}/{name}", "old version", sizes[name])
-        for name in space.remove_old(keep)
+def _end_killed(cache: SentenceCache) -> None:
+    """Take in what workers of a killed build finished, and remove what it left besides."""
+    cache.end_runs()
+    shutil.rmtree(cache.folder / _SPILL, ignore_errors=True)
+
+
+def _from_space(space: SpaceFolder, keep: int) -> list[Removed]:
+    went = [("old version", remove_old(space, keep)), (_LEFT, remove_left(space))]
+    return [
+        Removed(f"{space.labels}/{name}", what, size)
+        for what, sizes in went
+        for name, size in sizes.items()
     ]
-    abandoned = [*space.path.glob(".staging-*"), *_half_removed(space)]
-    return removed + [_remove(tables, path, "left by a killed build") for path in abandoned]
-
-
-def _half_removed(space: SpaceFolder) -> Iterator[Path]:
-    """Version folders whose manifest is gone: a removal that was killed."""
-    for path in space.path.glob("[0-9]*-*"):
-        if path.is_dir() and not (path / MANIFEST).exists():
-            yield path
 
 
 def _used(tables: Path) -> set[str]:
@@ -166,16 +175,12 @@ def _used(tables: Path) -> set[str]:
     return {str(version.manifest.query_scorer_id) for version in versions}
 
 
-def _remove(tables: Path, path: Path, what: str) -> Removed:
-    refuse_outside(tables, path)
-    size = _size(path)
-    with writing(path):
-        if path.is_symlink() or path.is_file():
-            path.unlink()
+def _remove(tables: Path, folder: Path, what: str) -> Removed:
+    refuse_outside(tables, folder)
+    size = size_of(folder)
+    with writing(folder):
+        if folder.name.startswith(REMOVING):
+            shutil.rmtree(folder)
         else:
-            shutil.rmtree(path)
-    return Removed(str(path.relative_to(tables)), what, size)
-
-
-def _size(folder: Path) -> int:
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+            remove_folder(folder)
+    return Removed(str(folder.relative_to(tables)), what, size)

@@ -20,6 +20,8 @@ from roomtables.storage.files import writing
 _MEMORY_BYTES = 4 << 30
 # Databases: of the tables that were made, and, in memory, of what one SELECT may see of them.
 _MADE, _HANDED = "work", "handed"
+# What DuckDB says, in a RuntimeError, where a signal meets it in a query.
+_INTERRUPTED = "Query interrupted"
 _ARROW_TYPES = {
     "varchar": pa.string(),
     "varchar[]": pa.list_(pa.string()),
@@ -152,6 +154,10 @@ def speaking_plainly(folder: Path) -> Iterator[None]:
         with writing(folder):
             yield
     except duckdb.InterruptException as error:
+        raise KeyboardInterrupt from error
+    except RuntimeError as error:
+        if str(error) != _INTERRUPTED:
+            raise
         raise KeyboardInterrupt from error
     except (duckdb.IOException, duckdb.OutOfMemoryException, duckdb.FatalException) as error:
         raise StoreError(

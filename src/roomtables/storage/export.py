@@ -1,7 +1,8 @@
 """Pack what a robot needs of a published version: lookup files, manifest, and perhaps a model.
 
 The archive holds ``tables/<label space>/``, with ``CURRENT`` last; unpacked, it opens like the
-tables it came from, read-only file systems included.
+tables it came from, read-only file systems included. The version's folder is named after what it
+holds, too: an archive that is unpacked over another leaves what that one holds as it is.
 """
 
 from __future__ import annotations
@@ -10,17 +11,18 @@ import gzip
 import io
 import os
 import tarfile
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
 from roomtables.errors import InputError, StoreError, needing
+from roomtables.storage.aside import replacing
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts
+from roomtables.storage.scratch import scratch
 from roomtables.storage.versions import (
     CURRENT,
     LOOKUP,
@@ -71,15 +73,13 @@ def export(
     version = SpaceFolder(tables, labels).current()
     lookup = Lookup.open(version.path / LOOKUP, version.manifest, verify=True)
     try:
-        with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}.") as folder:
-            aside = Path(folder) / "archive"
-            model = Path(folder) / MODEL
-            model.mkdir()
+        with ExitStack() as stack:
+            model = None
             if write_model is not None:
+                model = stack.enter_context(scratch("export", output.parent))
                 write_model(version, lookup, model)
-            with _compressed(aside, output.name) as stream:
-                _pack(stream, version, model)
-            os.replace(aside, output)
+            aside = stack.enter_context(replacing(output))
+            _pack(stack.enter_context(_compressed(aside, output.name)), version, model)
     except OSError as error:
         raise StoreError(
             f"cannot write {output}: {error.strerror or error}; give another path with -o"
@@ -95,17 +95,19 @@ def _bytes(version: Version, source: str) -> int:
     return sum(fact.bytes for name, fact in facts if name.startswith(f"{LOOKUP}/{source}."))
 
 
-def _pack(stream: IO[bytes], version: Version, model: Path) -> None:
+def _pack(stream: IO[bytes], version: Version, model: Path | None) -> None:
     space = f"{ROOT}/{version.manifest.labels}"
-    inside = f"{space}/{version.name}"
     noted = version.manifest.files
     packed = {name: noted[name] for name in sorted(noted) if name.startswith(f"{LOOKUP}/")}
     places = {name: version.path / name for name in packed}
-    for path in sorted(model.iterdir()):
+    for path in sorted(model.iterdir()) if model else ():
         name = f"{MODEL}/{path.name}"
         packed[name], places[name] = FileFacts.of(path), path
     manifest = replace(version.manifest, files=packed).to_bytes()
-    pointer = Pointer(version.name, sha256(manifest).hexdigest())
+    digest = sha256(manifest).hexdigest()
+    # Two builds may bear one name and hold other files: unpacked, neither may write into the other.
+    pointer = Pointer(f"{version.name}-{digest[:8]}", digest)
+    inside = f"{space}/{pointer.name}"
     with tarfile.open(fileobj=stream, mode="w|") as archive:
         for name, path in places.items():
             with path.open("rb") as file:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from roomtables.errors import StoreError
+from roomtables.storage.aside import replacing
 
 _ADVICE = {
     errno.ENOSPC: "free some space, then run the command again: what is scored is kept",
@@ -48,16 +49,17 @@ def writing(folder: Path) -> Iterator[None]:
 
 
 def write_aside(path: Path, data: bytes) -> None:
-    """Replace a file atomically: a reader sees the old content or the new, never a part."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    """Replace a file atomically: a reader sees the old content or the new, never a part.
+
+    Raises
+    ------
+    StoreError
+        It cannot be written; the old content is still there.
+    """
     try:
-        with aside.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(aside, path)
+        with replacing(path) as aside:
+            aside.write_bytes(data)
     except OSError as error:
-        aside.unlink(missing_ok=True)
         raise StoreError(f"cannot write {path}: {error.strerror}") from error
 
 
@@ -83,6 +85,19 @@ def refuse_outside(root: Path, *paths: Path) -> None:
             raise StoreError(
                 f"{path} is a symbolic link out of {root}; replace it by a copy, then try again"
             )
+
+
+def refuse_links(*paths: Path) -> None:
+    """Refuse symbolic links where only files of this package's writing belong.
+
+    Raises
+    ------
+    StoreError
+        One of the paths is a symbolic link.
+    """
+    for path in paths:
+        if path.is_symlink():
+            raise StoreError(f"{path} is a symbolic link; replace it by a copy, then try again")
 
 
 def check_name(path: Path) -> None:

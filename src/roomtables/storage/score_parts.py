@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from roomtables.errors import StoreError
 from roomtables.limits import json_value
+from roomtables.storage.aside import sync_folder
 from roomtables.storage.files import refuse_outside, sha256_of, writing
 
 PART_SCHEMA = pa.schema(
@@ -160,4 +161,5 @@ def settle(aside: Path) -> Path:
         os.fsync(file.fileno())
     path = aside.with_name(part_name(digest))
     os.replace(aside, path)
+    sync_folder(path.parent)
     return path

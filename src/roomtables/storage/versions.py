@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,16 +23,18 @@ from typing import NamedTuple
 
 from roomtables.errors import StoreError
 from roomtables.limits import JSON_BYTES, MalformedError, read_bytes
-from roomtables.storage.files import check_name, is_held, refuse_outside, write_aside, writing
+from roomtables.storage.aside import sync_files, sync_folder
+from roomtables.storage.files import check_name, refuse_links, refuse_outside, write_aside, writing
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError, SchemaVersionError
 
 MANIFEST = "manifest.json"
 CURRENT = "CURRENT"
 LOOKUP = "lookup"
 MODEL = "model"  # the folder of a language model, in tables that were exported with one
-KEPT_VERSIONS = 2
-_STAGING = ".staging-"
+STAGING = ".staging-"
 _KEPT = "what is scored is kept"
+# A number and the inputs' hash; in an archive, the manifest's hash, too.
+_NAME = re.compile(r"\d{6,}-\w+(-[0-9a-f]{8})?")
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Version:
         ------
         StoreError
             Its manifest is missing, damaged, another than the hash says, or of another schema
-            version.
+            version; or one of its files is a symbolic link.
         """
         manifest_path = path / MANIFEST
         refuse_outside(path.parent.parent, path, manifest_path, path / LOOKUP)
@@ -102,6 +105,7 @@ class Version:
                 f"{manifest_path} is not the one that {CURRENT} names; "
                 f"run `roomtables build`: {_KEPT}"
             )
+        refuse_links(manifest_path, path / LOOKUP, *(path / name for name in manifest.files))
         return cls(path, manifest)
 
 
@@ -195,7 +199,8 @@ class SpaceFolder:
         """Folders of the versions, oldest first."""
         if not self.path.is_dir():
             return []
-        return sorted(path.parent for path in self.path.glob(f"[!.]*/{MANIFEST}"))
+        found = (path.parent for path in self.path.glob(f"[0-9]*/{MANIFEST}"))
+        return sorted(path for path in found if _NAME.fullmatch(path.name))
 
     def new_name(self, fingerprint: str) -> str:
         """A name for the next version: a number, which no clock can turn back, and its inputs."""
@@ -209,7 +214,10 @@ class SpaceFolder:
             raise StoreError(f"{target} exists already; run `roomtables gc`, then build again")
         write_aside(staging / MANIFEST, manifest.to_bytes())
         with writing(target):
+            sync_files(staging)
             os.replace(staging, target)
+            sync_folder(self.path)
+            sync_folder(self.path.parent)
         return self.point_at(target)
 
     def point_at(self, version: Path) -> Version:
@@ -255,35 +263,13 @@ class SpaceFolder:
         refuse_outside(self.path.parent, self.path)
         with writing(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        folder = self.path / f"{_STAGING}{os.getpid()}"
+        folder = self.path / f"{STAGING}{os.getpid()}"
         try:
             with writing(folder):
                 folder.mkdir()
             yield folder
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-
-    def remove_abandoned(self) -> None:
-        """Remove what a killed build was writing aside; only for whoever holds the build lock."""
-        refuse_outside(self.path.parent, self.path)
-        for abandoned in self.path.glob(f"{_STAGING}*"):
-            shutil.rmtree(abandoned, ignore_errors=True)
-
-    def remove_old(self, keep: int = KEPT_VERSIONS) -> list[str]:
-        """Remove all but the newest versions, the current one, and those that a reader holds.
-
-        Returns the names of those removed. A manifest goes first: what is half removed is no
-        version any more.
-        """
-        current = self.named_by_current()
-        removed = []
-        for path in self.versions()[: -max(keep, 1)]:
-            if path != current and not path.is_symlink() and not is_held(path):
-                with writing(path):
-                    (path / MANIFEST).unlink()
-                    shutil.rmtree(path)
-                removed.append(path.name)
-        return removed
 
     def _others(self) -> str:
         names = sorted(path.parent.name for path in self.path.parent.glob(f"*/{CURRENT}"))

@@ -1,6 +1,8 @@
 """Old versions, score parts, the version before, what changed: keeping a tables folder in order."""
 
+import json
 import os
+import shutil
 from datetime import UTC, datetime, timedelta
 
 import duckdb
@@ -67,16 +69,101 @@ def test_gc_keeps_what_a_reader_holds(tables, labels):
 def test_gc_removes_what_killed_builds_left(tables, labels):
     space = make(tables, labels, 1)
     (space.path / ".staging-1").mkdir()
-    (space.path / "000009-half").mkdir()
+    (space.path / ".removing-000009-0123abcd").mkdir()
+    for aside in (".CURRENT.77.tmp", ".CURRENT.0123abcd.tmp"):
+        (space.path / aside).write_text("half")
     (tables / "scores" / "hash@1" / ".77.tmp").write_bytes(b"x")
     run = SentenceCache(tables, "hash@1").run_folder()
     run.append(["a finished piece"], [SentenceScore(-1.0, 3)])
     (run.folder / "shard-000001.parquet").write_bytes(b"half")
     removed = {row.path for row in collect_garbage(tables)}
-    assert {"small/.staging-1", "small/000009-half"} <= removed
+    half = {".staging-1", ".removing-000009-0123abcd", ".CURRENT.77.tmp", ".CURRENT.0123abcd.tmp"}
+    assert {f"small/{name}" for name in half} <= removed
+    assert {path.name for path in space.path.iterdir()} == {"CURRENT", space.current().name}
     left = [path.name for path in (tables / "scores" / "hash@1").iterdir()]
     assert all(name.startswith("part-") for name in left)
     assert "a finished piece" in {row[1] for row in rows_of(SentenceCache(tables, "hash@1"))}
+
+
+def edit(version, **changes):
+    path = version / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def damage_pointer(space, text):
+    (space.path / "CURRENT").write_text(text)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda space: edit(space.current().path, schema_version=1),
+        lambda space: (space.current().path / "manifest.json").write_text("{"),
+        lambda space: (space.current().path / "manifest.json").unlink(),
+        lambda space: damage_pointer(space, f"{space.current().name} 0000"),
+        lambda space: damage_pointer(space, space.current().name[:9]),
+        lambda space: (space.path / "CURRENT").write_bytes(b"\xff\xfe"),
+        lambda space: damage_pointer(space, ""),
+        lambda space: (space.path / "CURRENT").unlink(),
+    ],
+)
+def test_gc_never_removes_what_current_names_even_if_it_cannot_be_opened(tables, labels, damage):
+    space = make(tables, labels, 1, 2)
+    roll_back(tables, "small")
+    published = space.current().path
+    with held(published, space.versions()[1]):
+        make(tables, labels, 3)
+    space.point_at(published)
+    damage(space)
+    collect_garbage(tables, keep=1)
+    assert published.is_dir()
+    assert len(list(published.glob("*.parquet"))) == 7
+
+
+def test_gc_keeps_what_current_names_by_a_link(tables, labels):
+    space = make(tables, labels, 1, 2)
+    old = space.versions()[0]
+    (space.path / "live").symlink_to(old.name)
+    damage_pointer(space, "live")
+    assert collect_garbage(tables, keep=1) == []
+    assert old.is_dir()
+
+
+def test_gc_keeps_what_no_build_wrote(tables, labels, caplog):
+    space = make(tables, labels, 1, 2)
+    one, two = space.versions()
+    for name in ("2024-backup", "000000-0123abcd", "000000-notes", "000000-damaged"):
+        shutil.copytree(one, space.path / name)
+    (space.path / "000000-empty").mkdir()
+    (space.path / "000000-0123abcd" / "mine.txt").write_text("x")
+    (space.path / "000000-notes" / "manifest.json").write_text('["mine"]')
+    (space.path / "000000-damaged" / "manifest.json").write_text("{")
+    (space.path / "000000-linked").symlink_to(two)
+    kept = {path.name for path in space.path.iterdir()} - {one.name}
+    assert [row.path for row in collect_garbage(tables, keep=1)] == [f"small/{one.name}"]
+    assert {path.name for path in space.path.iterdir()} == kept
+    assert "000000-0123abcd stays: no build wrote its mine.txt" in caplog.text
+    assert "000000-damaged stays: no build wrote its manifest.json" in caplog.text
+
+
+def test_gc_removes_nothing_through_a_link(tables, labels, tmp_path):
+    space = make(tables, labels, 1)
+    with held(space.current().path):
+        make(tables, labels, 2, 3)
+    (space.path / ".staging-1").mkdir()
+    moved = space.path.rename(tmp_path / "elsewhere")
+    space.path.symlink_to(moved)
+    before = sorted(moved.rglob("*"))
+    assert collect_garbage(tables, keep=1) == []
+    assert sorted(moved.rglob("*")) == before
+
+
+def test_gc_of_a_space_whose_first_build_was_killed(tables, labels):
+    (tables / "small" / ".staging-1").mkdir(parents=True)
+    (tables / "theirs").mkdir()
+    (tables / "theirs" / ".x.1.tmp").write_text("x")
+    assert [row.path for row in collect_garbage(tables)] == ["small/.staging-1"]
+    assert (tables / "theirs" / ".x.1.tmp").exists()
 
 
 def test_gc_of_unused_scores(tables, labels):

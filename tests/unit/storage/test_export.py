@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import shutil
 import subprocess
 import sys
 import tarfile
+import threading
 from itertools import combinations
 from pathlib import Path
 
@@ -141,3 +144,66 @@ def test_a_robot_without_pyarrow_reads_what_was_unpacked(tables: Path, tmp_path:
     assert found == RoomTables.open(tables, "small").classify(["sink"]).room
     manifest = json.loads(next(tmp_path.rglob("manifest.json")).read_text(encoding="utf-8"))
     assert all(name.startswith("lookup/") for name in manifest["files"])
+
+
+def test_archives_of_one_name_and_other_content_do_not_meet_when_unpacked(
+    tables: Path, tmp_path: Path
+) -> None:
+    """Two builds of the same inputs, whose model was not quite the same."""
+    space = SpaceFolder(tables, "small")
+    export(tables, "small", tmp_path / "one.tar")
+    other = shutil.copytree(tables, tmp_path / "other")
+    version = SpaceFolder(other, "small").current()
+    noted = json.loads((version.path / "manifest.json").read_text(encoding="utf-8"))
+    noted["created"] = "2020-01-01T00:00:00+00:00"
+    (version.path / "manifest.json").write_text(json.dumps(noted), encoding="utf-8")
+    SpaceFolder(other, "small").point_at(version.path)
+    export(other, "small", tmp_path / "other.tar")
+    for name in ("one.tar", "one.tar", "other.tar"):
+        unpack(tmp_path / name, tmp_path / "robot")
+    found = SpaceFolder(tmp_path / "robot" / "tables", "small")
+    assert len(found.versions()) == 2
+    assert all(path.name.startswith(f"{space.current().name}-") for path in found.versions())
+    for path in found.versions():
+        found.point_at(path).verify()
+
+
+def test_an_archive_goes_into_a_pipe(tables: Path, tmp_path: Path) -> None:
+    export(tables, "small", tmp_path / "robot.tar")
+    pipe = tmp_path / "pipe.tar"
+    os.mkfifo(pipe)
+    heard: list[bytes] = []
+    reader = threading.Thread(target=lambda: heard.append(pipe.read_bytes()))
+    reader.start()
+    export(tables, "small", pipe)
+    reader.join()
+    assert heard == [(tmp_path / "robot.tar").read_bytes()]
+    assert pipe.is_fifo()
+
+
+LINKED = [
+    "manifest.json",
+    "entropy.parquet",
+    "lookup",
+    "lookup/lookup.json",
+    "lookup/proxy.scores.npy",
+]
+
+
+@pytest.mark.parametrize("name", LINKED)
+def test_a_link_inside_a_version_is_refused(tables: Path, tmp_path: Path, name: str) -> None:
+    copied = shutil.copytree(tables, tmp_path / "tables")
+    space = SpaceFolder(copied, "small")
+    path = space.current().path / name
+    path.rename(path.with_name(f"moved-{path.name}"))
+    path.symlink_to(f"moved-{path.name}")
+    options = ["--tables", str(copied), "--labels", "small"]
+    for command in (
+        ["classify", "bed", "--offline"],
+        ["status", "--verify"],
+        ["export", "-o", str(tmp_path / "robot.tar")],
+    ):
+        found = CliRunner().invoke(main, [*command, *options])
+        assert (found.exit_code, found.stderr.count("\n")) == (1, 1)
+        assert f"{path} is a symbolic link" in found.stderr
+    assert not (tmp_path / "robot.tar").exists()

@@ -7,6 +7,7 @@ import pytest
 
 from roomtables.errors import StoreError
 from roomtables.storage.files import build_lock, write_aside
+from roomtables.storage.removal import remove_old
 from roomtables.storage.versions import MANIFEST, SpaceFolder, Version
 from support import made_manifest
 
@@ -41,7 +42,7 @@ def test_an_opened_version_outlives_the_next_publish(tmp_path):
 def test_two_versions_are_kept(tmp_path):
     space = SpaceFolder(tmp_path, "home")
     names = [publish(space).name for _ in range(4)]
-    space.remove_old()
+    remove_old(space)
     assert [path.name for path in space.versions()] == names[-2:]
 
 
@@ -118,7 +119,7 @@ def test_what_current_names_is_never_removed_even_if_it_cannot_be_opened(tmp_pat
     versions = [publish(space) for _ in range(4)]
     space.point_at(versions[0].path)
     (versions[0].path / MANIFEST).write_text("{}")
-    assert space.remove_old() == [versions[1].name]
+    assert list(remove_old(space)) == [versions[1].name]
     assert versions[0].path.is_dir()
 
 
