@@ -17,8 +17,6 @@ from roomtables.cli.common import (
     Namer,
     Synonyms,
     Warnings,
-    as_json,
-    as_json_line,
     decision_options,
     emit,
     emit_lines,
@@ -31,6 +29,7 @@ from roomtables.cli.common import (
     tables_option,
     weights_option,
 )
+from roomtables.cli.printing import as_json, as_json_line, echo
 from roomtables.online.classifier import RoomTables, classify_rooms
 from roomtables.online.prediction import Prediction
 from roomtables.online.serve import Labeller, Service
@@ -216,7 +215,7 @@ def serve(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    click.echo(f"labelling rooms of {recv}, publishing on {send}; Ctrl-C ends it", err=True)
+    echo(f"labelling rooms of {recv}, publishing on {send}; Ctrl-C ends it", err=True)
     gc.collect()
     gc.freeze()  # what is loaded by now stays; to look it over again would hold graphs up
     try:
@@ -224,4 +223,4 @@ def serve(
     finally:
         service.close()
         gc.unfreeze()
-    click.echo(f"stopped: {service.counters.line()}", err=True)
+    echo(f"stopped: {service.counters.line()}", err=True)

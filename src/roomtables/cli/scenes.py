@@ -16,7 +16,6 @@ from roomtables.cli.common import (
     Namer,
     Synonyms,
     Warnings,
-    as_json_line,
     decision_options,
     emit,
     emit_lines,
@@ -28,6 +27,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.printing import as_json_line, echo
 from roomtables.errors import InputError, StoreError
 from roomtables.online.classifier import RoomTables
 from roomtables.scenes.dsg import graph_scene, label_rooms
@@ -160,7 +160,7 @@ def label(
     else:
         write_aside(output, json.dumps(graph.document, separators=(",", ":")).encode())
     synonyms.report()
-    click.echo(f"{output}: {len(named)} of {len(found)} rooms named", err=True)
+    echo(f"{output}: {len(named)} of {len(found)} rooms named", err=True)
 
 
 @click.command()
@@ -206,7 +206,7 @@ def show(
     if not found:
         raise InputError(f"{scene} holds no room to draw; give `--all`, or another scene")
     draw(replace(read, rooms=found), answers, output)
-    click.echo(f"{output}: {len(found)} rooms drawn", err=True)
+    echo(f"{output}: {len(found)} rooms drawn", err=True)
 
 
 def _answers(rooms: list[SceneRoom], predictions: Sequence[Any]) -> dict[str, tuple[str, float]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from roomtables.cli.common import emit, format_option, output_option, render
+from roomtables.cli.printing import echo
 from roomtables.config import builtin_labels, load_labels
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace
@@ -140,7 +141,7 @@ def save_labels(space: LabelSpace, folder: Path) -> None:
         raise InputError(f"cannot write to {folder}: {error.strerror}") from error
     for name, text in space.csv_files().items():
         write_aside(folder / name, text.encode())
-    click.echo(
+    echo(
         f"wrote {folder}: {len(space.objects)} objects, {len(space.rooms)} rooms; "
         f"now run `roomtables build --labels {folder}`"
     )

@@ -8,11 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import duckdb
-
 from roomtables.errors import StoreError
-from roomtables.offline.workspace import speaking_plainly
-from roomtables.schemas import literal
+from roomtables.storage.database import connect, speaking_plainly
 from roomtables.storage.files import build_lock, is_held, refuse_outside, writing
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.score_parts import SCORES
@@ -89,8 +86,10 @@ def compact(tables: Path) -> list[Compacted]:
             cache.end_runs()
             cache.verify()
             bytes_before = _size(cache.folder)
-            with speaking_plainly(cache.folder), duckdb.connect() as connection:
-                connection.execute(f"set temp_directory = {literal(cache.folder / '.spill')}")
+            with (
+                speaking_plainly(cache.folder),
+                connect(spill=cache.folder / ".spill") as connection,
+            ):
                 before, after = cache.compact(connection)
             shutil.rmtree(cache.folder / ".spill", ignore_errors=True)
             done.append(

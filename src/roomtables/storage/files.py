@@ -6,7 +6,6 @@ opens its files one by one. The system frees a lock when its process dies, so no
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import logging
 import os
@@ -17,12 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from roomtables.errors import StoreError
-
-_ADVICE = {
-    errno.ENOSPC: "free some space, then run the command again: what is scored is kept",
-    errno.EDQUOT: "free some space, then run the command again: what is scored is kept",
-    errno.EFBIG: "allow bigger files (`ulimit -f`), then run the command again",
-}
+from roomtables.storage.refusals import refusal
 
 
 @contextmanager
@@ -37,9 +31,7 @@ def writing(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = error.filename or folder
-        advice = _ADVICE.get(error.errno or 0, "see that the folder is writable, or use `--tables`")
-        raise StoreError(f"cannot write {where}: {error.strerror or error}; {advice}") from error
+        raise refusal(error, folder) or error from error
 
 
 def write_aside(path: Path, data: bytes) -> None:
@@ -53,7 +45,7 @@ def write_aside(path: Path, data: bytes) -> None:
         os.replace(aside, path)
     except OSError as error:
         aside.unlink(missing_ok=True)
-        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+        raise refusal(error, path) or error from error
 
 
 def refuse_outside(root: Path, *paths: Path) -> None:
@@ -112,9 +104,7 @@ def build_lock(tables: Path, wait: bool = False) -> Iterator[None]:
         refuse_outside(tables, path)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
-        raise StoreError(
-            f"cannot write to {tables}: {error.strerror}; choose another with `--tables DIR`"
-        ) from error
+        raise refusal(error, tables) or error from error
     try:
         _acquire(descriptor, tables, wait)
         _note(

@@ -13,7 +13,7 @@ from typing import Any
 
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
-from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES, literal
+from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES, literal, parquet, plain_path
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.versions import Version
 
@@ -27,15 +27,12 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
     """
     import duckdb
 
-    connection = duckdb.connect(str(database))
+    from roomtables.storage.database import within_memory
+
+    connection = within_memory(duckdb.connect(str(database)))
     for name in VERSION_TABLES:
         path = version.path.resolve() / f"{name}.parquet"
-        _view(
-            connection,
-            name,
-            f"select * from read_parquet({literal(path)})",
-            TABLE_BY_NAME[name].grain,
-        )
+        _view(connection, name, f"from {parquet(path)}", TABLE_BY_NAME[name].grain)
     _sentence_scores(connection, tables)
     _misses(connection, version)
     _decision(connection, version)
@@ -45,7 +42,9 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
             connection.execute(text)
         else:
             _view(connection, path.stem, text, _described(text))
-    connection.execute(f"set allowed_directories = [{literal(tables.resolve())}]")
+    folder = tables.resolve()  # DuckDB asks for it as the pattern, then as the file that it found
+    allowed = ", ".join(map(literal, {str(folder), plain_path(folder)}))
+    connection.execute(f"set allowed_directories = [{allowed}]")
     connection.execute("set enable_external_access = false")
     connection.execute("set lock_configuration = true")
     return connection
@@ -111,8 +110,8 @@ def _sentence_scores(connection: Any, tables: Path) -> None:
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
     table = TABLE_BY_NAME["sentence_scores"]
     empty = ", ".join(f"null::{c.type} as {c.name}" for c in table.columns)
-    files = ", ".join(literal(part.resolve()) for part in parts)
-    held = f"select * from read_parquet([{files}])" if parts else f"select {empty} where false"
+    files = [part.resolve() for part in parts]
+    held = f"from {parquet(*files)}" if files else f"select {empty} where false"
     _view(connection, table.name, held, table.grain)
 
 

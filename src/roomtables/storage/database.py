@@ -1,0 +1,73 @@
+"""DuckDB as this package opens it: within the process's memory, with paths read as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import duckdb
+
+from roomtables.memory import MEGABYTE, address_space_limit, available
+from roomtables.schemas import literal
+from roomtables.storage.refusals import refusal
+
+# Of a large machine; half the memory of a small one. docs/scale.md has what it is enough for.
+_MEMORY_BYTES = 4 << 30
+# Under `ulimit -v` DuckDB gets a fourth of what is left: it maps more than the memory it counts.
+_LIMITED_SHARE = 4
+
+
+def connect(database: Path | None = None, spill: Path | None = None) -> duckdb.DuckDBPyConnection:
+    """A connection to a database in memory, or to a new file that nobody opens again.
+
+    Parameters
+    ----------
+    database : the file; its tables are named without a prefix
+    spill : the folder for what memory cannot hold
+    """
+    connection = within_memory(duckdb.connect())
+    if spill is not None:
+        connection.execute(f"set temp_directory = {literal(spill)}")
+    if database is not None:
+        # Nothing is to be found again after a crash, so nothing is logged ahead; and DuckDB would
+        # look for the log of `a?b/x.duckdb` in the folder `a.wal?b`.
+        connection.execute(
+            f"attach {literal(database)} as {database.stem} (recovery_mode no_wal_writes)"
+        )
+        connection.execute(f"use {database.stem}")
+        # Nobody opens the file again, so it need not be put in order.
+        connection.execute("pragma disable_checkpoint_on_shutdown")
+    return connection
+
+
+def within_memory(connection: duckdb.DuckDBPyConnection) -> duckdb.DuckDBPyConnection:
+    """The connection, with as much memory and as many threads as this process can afford."""
+    limited = address_space_limit() is not None
+    most = min(_MEMORY_BYTES, available() // (_LIMITED_SHARE if limited else 2))
+    connection.execute(f"set memory_limit = '{most // MEGABYTE} MiB'")
+    if limited:
+        connection.execute("set threads = 1")
+    return connection
+
+
+@contextmanager
+def speaking_plainly(folder: Path, doing: str = "write") -> Iterator[None]:
+    """Turn what DuckDB and the file system say of a folder into this package's words.
+
+    Raises
+    ------
+    StoreError
+        The disk is full, memory runs out, or a file cannot be written or read.
+    KeyboardInterrupt
+        A query was interrupted.
+    """
+    try:
+        yield
+    except duckdb.InterruptException as error:
+        raise KeyboardInterrupt from error
+    except (duckdb.Error, OSError, MemoryError) as error:
+        said = refusal(error, folder, doing)
+        if said is None:
+            raise
+        raise said from error
