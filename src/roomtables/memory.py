@@ -64,6 +64,7 @@ def spare_threads() -> None:
     if address_space_limit() is not None:
         for name in _THREADS:
             os.environ.setdefault(name, "1")
+        os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # its own maps 1 GB at once
 
 
 def _cgroup_limits() -> list[int]:

@@ -59,9 +59,12 @@ def as_json_line(value: object) -> str:
 
 
 def _json(value: object, indent: int | None = None) -> str:
-    text = json.dumps(value, indent=indent, ensure_ascii=False, default=str)
-    # Outside of its strings JSON has none of these characters but the line end.
-    return _IN_TEXT.sub(lambda match: f"\\u{ord(match[0]):04x}", text) + "\n"
+    return safe_json(json.dumps(value, indent=indent, ensure_ascii=False, default=str)) + "\n"
+
+
+def safe_json(text: str) -> str:
+    """JSON text that says the same, with what would steer a terminal escaped as JSON has it."""
+    return _IN_TEXT.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:

@@ -27,7 +27,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
-from roomtables.cli.printing import as_json_line, echo
+from roomtables.cli.printing import as_json_line, echo, safe_json
 from roomtables.errors import InputError, StoreError
 from roomtables.online.classifier import RoomTables
 from roomtables.scenes.dsg import graph_scene, label_rooms
@@ -90,7 +90,7 @@ def rooms(
     if frequencies:
         _emit_frequencies(found, "table" if format_ in ("jsonl", "nested") else format_, output)
     elif format_ == "nested":
-        emit_lines(write_nested(found), output)
+        emit_lines(map(safe_json, write_nested(found)), output)
     else:
         lines = (room.as_room().as_json() for scene in found for room in scene.rooms)
         if format_ == "jsonl":

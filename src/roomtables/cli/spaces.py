@@ -139,8 +139,14 @@ def save_labels(space: LabelSpace, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to {folder}: {error.strerror}") from error
-    for name, text in space.csv_files().items():
-        write_aside(folder / name, text.encode())
+    files = {folder / name: text for name, text in space.csv_files().items()}
+    try:
+        for path, text in files.items():
+            write_aside(path, text.encode())
+    except BaseException:  # half a label space would be in the way of the next try
+        for path in files:
+            path.unlink(missing_ok=True)
+        raise
     echo(
         f"wrote {folder}: {len(space.objects)} objects, {len(space.rooms)} rooms; "
         f"now run `roomtables build --labels {folder}`"

@@ -18,8 +18,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from roomtables.errors import InputError, StoreError
+from roomtables.errors import InputError
 from roomtables.storage.lookup import Lookup
+from roomtables.storage.refusals import refusal
 from roomtables.storage.versions import CURRENT, LOOKUP, MANIFEST, Pointer, SpaceFolder, Version
 
 ROOT = "tables"
@@ -59,9 +60,7 @@ def export(tables: Path, labels: str, output: Path) -> tuple[ExportedSource, ...
                 _pack(stream, version)
             os.replace(aside, output)
     except OSError as error:
-        raise StoreError(
-            f"cannot write {output}: {error.strerror or error}; give another path with -o"
-        ) from error
+        raise refusal(error, output) or error from error
     return tuple(
         ExportedSource(source, len(arrays.keys), arrays.scores.shape[1], _bytes(version, source))
         for source, arrays in lookup.sources.items()

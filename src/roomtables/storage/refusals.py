@@ -113,7 +113,8 @@ def _path(error: BaseException) -> Path | None:
 
 def _full(number: int, path: Path | None) -> str:
     """How much room is left, and where."""
-    folder = _existing(path or Path())
+    found = _existing(path or Path())
+    folder = found if found.is_dir() else found.parent
     what = "the disk quota is used up" if number == errno.EDQUOT else "the disk is full"
     try:
         free = shutil.disk_usage(folder).free

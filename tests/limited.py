@@ -1,0 +1,134 @@
+"""Commands under real limits: a file system with little room, another user, little address space.
+
+A command runs in a child of its own. Where it is to start in a second rather than in five, the
+child is forked from a process that has imported what all commands need.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import subprocess
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from support import HashScorer
+
+NOBODY = 65534
+_PRELOADED = [
+    "inflect", "pandas", "duckdb", "pyarrow.parquet", "roomtables.cli", "roomtables.offline.plan",
+    "roomtables.offline.builder", "roomtables.offline.diff", "roomtables.offline.upkeep",
+    "roomtables.storage.export", "roomtables.report.page", "matplotlib.figure",
+    "roomtables.report.plots", "limited",
+]  # fmt: skip
+MEGABYTE = 1 << 20
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended: exit code (minus a signal's number), stdout and stderr."""
+
+    code: int
+    said: str
+    complained: str
+
+    def check(self) -> str:
+        """Check that it worked, or said in one line what to correct; the last line that it said."""
+        about = f"exit code {self.code}: {self.complained or self.said}"
+        assert self.code in (0, 1), about
+        assert "Traceback" not in self.complained, about
+        lines = [line for line in self.complained.splitlines() if not line.startswith("warning: ")]
+        if self.code:
+            (line,) = lines
+            assert line.startswith("error: "), about
+            return line
+        return (self.said.splitlines() or [""])[-1]
+
+
+def run_warm(args: Sequence[object], where: Path, user: int | None = None) -> Ended:
+    """Run a command in a forked child, with a scorer that needs no model."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(_PRELOADED)
+    where.mkdir(exist_ok=True)
+    where.chmod(0o777)
+    process = context.Process(target=_child, args=([str(a) for a in args], where, user))
+    process.start()
+    process.join()
+    said, complained = ((where / name).read_text() for name in ("out", "err"))
+    return Ended(process.exitcode or 0, said, complained)
+
+
+def _child(args: list[str], where: Path, user: int | None) -> None:
+    for number, name in ((1, "out"), (2, "err")):
+        os.dup2(os.open(where / name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY, 0o666), number)
+    if user is not None:
+        os.setgroups([])
+        os.setgid(user)
+        os.setuid(user)
+    import roomtables.lm
+    from roomtables.cli import main
+
+    roomtables.lm.identify = lambda *_, **__: "hash@1"  # type: ignore[assignment]
+    roomtables.lm.load_scorer = lambda *_, **__: HashScorer()  # type: ignore[assignment,return-value]
+    code = 1
+    try:
+        main(args, prog_name="roomtables")
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    except BaseException:
+        traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def run_cold(
+    args: Sequence[object], address_space: int | None = None, **environment: str
+) -> Ended:
+    """Run a command in a process of its own, with so many megabytes of address space at most."""
+
+    def limit() -> None:
+        if address_space is not None:
+            most = address_space * MEGABYTE
+            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+    found = subprocess.run(
+        [sys.executable, "-m", "roomtables", *map(str, args)],
+        capture_output=True, text=True, preexec_fn=limit, env=os.environ | environment,
+    )  # fmt: skip
+    return Ended(found.returncode, found.stdout, found.stderr)
+
+
+def may_mount(folder: Path) -> bool:
+    """Whether this process may mount a file system."""
+    try:
+        with tmpfs(folder, 1 << 16):
+            return True
+    except (OSError, subprocess.CalledProcessError):
+        return False
+
+
+@contextmanager
+def tmpfs(folder: Path, size: int) -> Iterator[Path]:
+    """A file system of so many bytes in a folder; unmounted at the end, whatever happens."""
+    folder.mkdir(exist_ok=True)
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size},mode=777", "none", str(folder)]
+    subprocess.run(mount, check=True, capture_output=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True, capture_output=True)
+
+
+def leave_room(folder: Path, room: int) -> None:
+    """Make a mounted file system so small that so many bytes are left of it."""
+    facts = os.statvfs(folder)
+    size = (facts.f_blocks - facts.f_bfree) * facts.f_frsize + room
+    remount = ["mount", "-o", f"remount,size={size}", str(folder)]
+    subprocess.run(remount, check=True, capture_output=True)
