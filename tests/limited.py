@@ -6,6 +6,7 @@ child is forked from a process that has imported what all commands need.
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import resource
@@ -24,7 +25,7 @@ _PRELOADED = [
     "inflect", "pandas", "duckdb", "pyarrow.parquet", "roomtables.cli", "roomtables.offline.plan",
     "roomtables.offline.builder", "roomtables.offline.diff", "roomtables.offline.upkeep",
     "roomtables.storage.export", "roomtables.report.page", "matplotlib.figure",
-    "roomtables.report.plots", "limited",
+    "roomtables.report.plots", "tabulate", "limited",
 ]  # fmt: skip
 MEGABYTE = 1 << 20
 
@@ -50,26 +51,34 @@ class Ended:
         return (self.said.splitlines() or [""])[-1]
 
 
-def run_warm(args: Sequence[object], where: Path, user: int | None = None) -> Ended:
-    """Run a command in a forked child, with a scorer that needs no model."""
+def run_warm(
+    args: Sequence[object], where: Path, user: int | None = None, **environment: str
+) -> Ended:
+    """Run a command in a forked child, with a scorer that needs no model.
+
+    The child may do what modes allow it, even where the tests run as root, whom none binds; with
+    ``user`` it is another user. ``where`` is a folder for what it prints.
+    """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
     where.mkdir(exist_ok=True)
     where.chmod(0o777)
-    process = context.Process(target=_child, args=([str(a) for a in args], where, user))
+    process = context.Process(target=_child, args=([str(a) for a in args], where, user, environment))
     process.start()
     process.join()
     said, complained = ((where / name).read_text() for name in ("out", "err"))
     return Ended(process.exitcode or 0, said, complained)
 
 
-def _child(args: list[str], where: Path, user: int | None) -> None:
+def _child(args: list[str], where: Path, user: int | None, environment: dict[str, str]) -> None:
+    os.environ.update(environment)
     for number, name in ((1, "out"), (2, "err")):
         os.dup2(os.open(where / name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY, 0o666), number)
     if user is not None:
         os.setgroups([])
         os.setgid(user)
         os.setuid(user)
+    _be_bound_by_modes()
     import roomtables.lm
     from roomtables.cli import main
 
@@ -85,6 +94,16 @@ def _child(args: list[str], where: Path, user: int | None) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
+
+
+def _be_bound_by_modes() -> None:
+    """Give up root's right to read and write whatever a file's mode says (see capset(2))."""
+    libc = ctypes.CDLL(None)
+    header, sets = (ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)()
+    libc.capget(header, sets)
+    for number in range(3):  # effective, permitted, inheritable
+        sets[number] &= ~0b110  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
+    assert libc.capset(header, sets) == 0
 
 
 def run_cold(

@@ -1,19 +1,22 @@
 """How much memory this process may still take: what the machine, its cgroup and `ulimit -v` leave.
 
 A C library that is refused memory often ends the process with a signal. So the heavy ones are
-loaded only where what they need is free, and start fewer threads where the address space is short:
-every thread reserves some 70 MB of it, used or not.
+loaded only where the address space that they need is free, and where it is limited they are asked
+to take little of it.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import resource
+from contextlib import suppress
 from pathlib import Path
 
 MEGABYTE = 1 << 20
 # Read by OpenBLAS, OpenMP (torch, pyarrow), pyarrow's readers and tokenizers when they are loaded.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "ARROW_IO_THREADS", "RAYON_NUM_THREADS")
+_M_ARENA_MAX = -8  # malloc.h: how many heaps threads may have
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
@@ -59,12 +62,15 @@ def shortage(what: str, megabytes: int) -> str | None:
     )
 
 
-def spare_threads() -> None:
-    """Have libraries that are loaded later start one thread, where the address space is limited."""
-    if address_space_limit() is not None:
-        for name in _THREADS:
-            os.environ.setdefault(name, "1")
-        os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # its own maps 1 GB at once
+def spare_address_space() -> None:
+    """Where `ulimit -v` is set, have libraries that are loaded later take little of it."""
+    if address_space_limit() is None:
+        return
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # its own maps 1 GB at once
+    with suppress(OSError, AttributeError):  # of glibc: otherwise 64 MB a thread, used or not
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 def _cgroup_limits() -> list[int]:

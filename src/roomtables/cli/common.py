@@ -14,10 +14,10 @@ import click
 from tqdm import tqdm
 
 from roomtables import __version__
+from roomtables.cli.checks import check_arguments, check_room
 from roomtables.cli.printing import (
     as_json,
     as_json_line,
-    check_arguments,
     csv_cell,
     echo,
     in_one_line,
@@ -72,7 +72,9 @@ class Group(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         check_arguments(args)
-        return super().resolve_command(ctx, args)
+        name, command, rest = super().resolve_command(ctx, args)
+        check_room(name or "")
+        return name, command, rest
 
 
 def _end(ctx: click.Context, error: RoomtablesError) -> NoReturn:

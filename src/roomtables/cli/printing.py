@@ -9,13 +9,9 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import re
-from collections.abc import Iterable
 
 import click
-
-from roomtables.errors import InputError
 
 # C0, DEL and C1, line separators, bidi embeddings, overrides and isolates, lone surrogates.
 _UNSAFE = "\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff"
@@ -91,17 +87,3 @@ def log_to_stderr() -> None:
     handler.setFormatter(LogFormatter())
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.addLevelName(logging.WARNING, "warning")
-
-
-def check_arguments(arguments: Iterable[str]) -> None:
-    """Refuse arguments that are no text, unless they name a file.
-
-    Raises
-    ------
-    InputError
-        An argument's bytes are not UTF-8: no label, no query and no new file is called so.
-    """
-    for argument in arguments:
-        value = argument.partition("=")[2] if argument.startswith("--") else argument
-        if re.search("[\ud800-\udfff]", argument) and not os.path.lexists(value):
-            raise InputError(f"argument {argument} is not UTF-8 text; give it in UTF-8")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from roomtables.errors import MissingExtraError
+from roomtables.lm.address_space import check_address_space
 from roomtables.lm.folders import EMBEDDED_MODEL
 from roomtables.lm.identity import identify
 
@@ -52,10 +53,12 @@ def load_scorer(
     Raises
     ------
     ModelError
-        The model cannot be found, read, or used to score sentences.
+        The model cannot be found, read, or used to score sentences; or torch does not fit into the
+        address space that `ulimit -v` leaves.
     MissingExtraError
         torch or transformers is not installed.
     """
+    check_address_space()
     try:
         from roomtables.lm.loading import load
     except ImportError as error:

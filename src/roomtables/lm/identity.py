@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.errors import ModelError
+from roomtables.lm.address_space import check_address_space
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
 from roomtables.scorer import DTYPES, SCORINGS
 
@@ -107,6 +108,7 @@ def device_class(device: str) -> str:
         raise ModelError(f"unknown device {device!r}; use one of {', '.join(DEVICES)}")
     if device == "cpu":
         return "cpu"
+    check_address_space()
     import torch
 
     if torch.cuda.is_available():

@@ -60,7 +60,8 @@ def draw(scene: Scene, answers: Answers, output: Path) -> None:
     kind = output.suffix.lower().lstrip(".")
     picture = _picture(scene, rooms, boxes, answers, "png" if kind == "png" else "svg")
     if kind == "html":
-        picture = _page(scene.name, list(rooms.values()), answers, picture.decode()).encode()
+        page = _page(scene.name, list(rooms.values()), answers, picture.decode())
+        picture = page.encode(errors="replace")
     write_aside(output, picture)
 
 

@@ -26,7 +26,7 @@ def connect(database: Path | None = None, spill: Path | None = None) -> duckdb.D
     database : the file; its tables are named without a prefix
     spill : the folder for what memory cannot hold
     """
-    connection = within_memory(duckdb.connect())
+    connection = duckdb.connect(config=within_memory())
     if spill is not None:
         connection.execute(f"set temp_directory = {literal(spill)}")
     if database is not None:
@@ -41,14 +41,12 @@ def connect(database: Path | None = None, spill: Path | None = None) -> duckdb.D
     return connection
 
 
-def within_memory(connection: duckdb.DuckDBPyConnection) -> duckdb.DuckDBPyConnection:
-    """The connection, with as much memory and as many threads as this process can afford."""
-    limited = address_space_limit() is not None
-    most = min(_MEMORY_BYTES, available() // (_LIMITED_SHARE if limited else 2))
-    connection.execute(f"set memory_limit = '{most // MEGABYTE} MiB'")
-    if limited:
-        connection.execute("set threads = 1")
-    return connection
+def within_memory() -> dict[str, str | bool | int | float | list[str]]:
+    """Settings for as much memory and as many threads as this process can afford."""
+    if address_space_limit() is None:
+        return {"memory_limit": f"{min(_MEMORY_BYTES, available() // 2) // MEGABYTE} MiB"}
+    most = min(_MEMORY_BYTES, available() // _LIMITED_SHARE)
+    return {"memory_limit": f"{most // MEGABYTE} MiB", "threads": 1}
 
 
 @contextmanager

@@ -29,7 +29,7 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
 
     from roomtables.storage.database import within_memory
 
-    connection = within_memory(duckdb.connect(str(database)))
+    connection = duckdb.connect(str(database), config=within_memory())
     for name in VERSION_TABLES:
         path = version.path.resolve() / f"{name}.parquet"
         _view(connection, name, f"from {parquet(path)}", TABLE_BY_NAME[name].grain)
