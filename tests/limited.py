@@ -7,7 +7,8 @@ child is forked from a process that has imported what all commands need.
 from __future__ import annotations
 
 import ctypes
-import multiprocessing
+import importlib
+import json
 import os
 import resource
 import subprocess
@@ -16,17 +17,17 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from support import HashScorer
 
 NOBODY = 65534
-_PRELOADED = [
-    "inflect", "pandas", "duckdb", "pyarrow.parquet", "roomtables.cli", "roomtables.offline.plan",
+_PRELOADED = (
+    "inflect", "duckdb", "pyarrow.parquet", "tabulate", "roomtables.cli", "roomtables.offline.plan",
     "roomtables.offline.builder", "roomtables.offline.diff", "roomtables.offline.upkeep",
-    "roomtables.storage.export", "roomtables.report.page", "matplotlib.figure",
-    "roomtables.report.plots", "tabulate", "limited",
-]  # fmt: skip
+    "roomtables.storage.export", "roomtables.report.page", "roomtables.lm",
+)  # fmt: skip
 MEGABYTE = 1 << 20
 
 
@@ -59,15 +60,36 @@ def run_warm(
     The child may do what modes allow it, even where the tests run as root, whom none binds; with
     ``user`` it is another user. ``where`` is a folder for what it prints.
     """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(_PRELOADED)
     where.mkdir(exist_ok=True)
     where.chmod(0o777)
-    process = context.Process(target=_child, args=([str(a) for a in args], where, user, environment))
-    process.start()
-    process.join()
+    server = _server()
+    asked = ([str(arg) for arg in args], str(where), user, environment)
+    server.stdin.write(json.dumps(asked) + "\n")
+    server.stdin.flush()
+    code = int(server.stdout.readline())
     said, complained = ((where / name).read_text() for name in ("out", "err"))
-    return Ended(process.exitcode or 0, said, complained)
+    return Ended(code, said, complained)
+
+
+@cache
+def _server() -> subprocess.Popen[str]:
+    """A process that has imported what commands need, and forks a child for each line it reads."""
+    return subprocess.Popen(
+        [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )  # fmt: skip
+
+
+def _serve() -> None:
+    for name in _PRELOADED:
+        importlib.import_module(name)
+    for line in sys.stdin:
+        child = os.fork()
+        if not child:
+            args, where, user, environment = json.loads(line)
+            _child(args, Path(where), user, environment)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        print(code, flush=True)
 
 
 def _child(args: list[str], where: Path, user: int | None, environment: dict[str, str]) -> None:
@@ -106,9 +128,7 @@ def _be_bound_by_modes() -> None:
     assert libc.capset(header, sets) == 0
 
 
-def run_cold(
-    args: Sequence[object], address_space: int | None = None, **environment: str
-) -> Ended:
+def run_cold(args: Sequence[object], address_space: int | None = None, **environment: str) -> Ended:
     """Run a command in a process of its own, with so many megabytes of address space at most."""
 
     def limit() -> None:
@@ -151,3 +171,7 @@ def leave_room(folder: Path, room: int) -> None:
     size = (facts.f_blocks - facts.f_bfree) * facts.f_frsize + room
     remount = ["mount", "-o", f"remount,size={size}", str(folder)]
     subprocess.run(remount, check=True, capture_output=True)
+
+
+if __name__ == "__main__":
+    _serve()

@@ -53,8 +53,10 @@ def shortage(what: str, megabytes: int) -> str | None:
     megabytes : the address space that it needs beside what the process has already
     """
     limit = address_space_limit()
+    if limit is None:
+        return None
     needed = address_space_used() // MEGABYTE + megabytes
-    if limit is None or needed * MEGABYTE <= limit:
+    if needed * MEGABYTE <= limit:
         return None
     return (
         f"{what} needs about {needed} MB of address space, the limit is {limit // MEGABYTE} MB; "

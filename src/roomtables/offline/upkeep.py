@@ -12,7 +12,7 @@ from roomtables.errors import StoreError
 from roomtables.storage.database import connect, speaking_plainly
 from roomtables.storage.files import build_lock, is_held, refuse_outside, writing
 from roomtables.storage.score_cache import SentenceCache
-from roomtables.storage.score_parts import SCORES
+from roomtables.storage.score_parts import SCORES, listed
 from roomtables.storage.versions import CURRENT, KEPT_VERSIONS, MANIFEST, SpaceFolder, Version
 
 
@@ -127,7 +127,7 @@ def _spaces(tables: Path) -> Iterator[SpaceFolder]:
 
 
 def _caches(tables: Path) -> list[SentenceCache]:
-    folders = sorted(path for path in (tables / SCORES).glob("[!.]*") if path.is_dir())
+    folders = [path for path in listed(tables / SCORES) if path.is_dir() and path.name[0] != "."]
     refuse_outside(tables, tables / SCORES, *folders)
     return [SentenceCache(tables, folder.name) for folder in folders]
 

@@ -117,15 +117,25 @@ def all_parts(folder: Path) -> list[Part]:
     StoreError
         A part is not readable, or is a symbolic link out of the tables folder.
     """
-    try:  # a pattern would find nothing in a folder that may not be read
-        names = sorted(os.listdir(folder))
-    except (FileNotFoundError, NotADirectoryError):
-        names = []
-    except OSError as error:
-        raise refusal(error, folder, "read") or error from error
-    paths = [folder / name for name in names if fnmatch(name, "part-*.parquet")]
+    paths = [path for path in listed(folder) if fnmatch(path.name, "part-*.parquet")]
     refuse_outside(folder.parent.parent, folder, *paths)
     return [Part.read(path) for path in paths]
+
+
+def listed(folder: Path) -> list[Path]:
+    """What is in a folder, sorted; nothing where there is none.
+
+    Raises
+    ------
+    StoreError
+        It may not be read. (To ``Path.glob`` such a folder is empty.)
+    """
+    try:
+        return sorted(folder.iterdir())
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise refusal(error, folder, "read") or error from error
 
 
 def live_parts(parts: Sequence[Part]) -> list[Part]:

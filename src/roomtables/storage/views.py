@@ -104,9 +104,14 @@ def _decision(connection: Any, version: Version) -> None:
 
 
 def _sentence_scores(connection: Any, tables: Path) -> None:
-    from roomtables.storage.score_parts import SCORES, all_parts, live_parts  # brings pyarrow
+    from roomtables.storage.score_parts import (
+        SCORES,
+        all_parts,
+        listed,
+        live_parts,
+    )  # brings pyarrow
 
-    folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
+    folders = [path for path in listed(tables / SCORES) if path.is_dir()]
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
     table = TABLE_BY_NAME["sentence_scores"]
     empty = ", ".join(f"null::{c.type} as {c.name}" for c in table.columns)

@@ -16,11 +16,11 @@ FULL = "the disk is full"
 # What each library says of a full disk, as it was said on one.
 FULL_DISKS = [
     OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/tmp/x"),
-    OSError(errno.ENOSPC, "Error writing bytes to file. Detail: [errno 28] No space left on device"),
-    OSError("1000000 requested and 25584 written"),
-    duckdb.IOException(
-        'IO Error: Could not write file "/tmp/x/w.duckdb": No space left on device'
+    OSError(
+        errno.ENOSPC, "Error writing bytes to file. Detail: [errno 28] No space left on device"
     ),
+    OSError("1000000 requested and 25584 written"),
+    duckdb.IOException('IO Error: Could not write file "/tmp/x/w.duckdb": No space left on device'),
     duckdb.TransactionException(
         'TransactionContext Error: Failed to commit: Could not write file "/tmp/x/w.duckdb": '
         "No space left on device"
@@ -108,7 +108,10 @@ def test_writing_and_write_aside_speak_the_same_words(tmp_path):
     try:
         with pytest.raises(Exception, match=r"cannot write .*x: File too large.*ulimit -f"):
             write_aside(tmp_path / "x", b"a" * 100)
-        with pytest.raises(Exception, match=r"cannot write .*y.*ulimit -f"), writing(tmp_path / "y"):
+        with (
+            pytest.raises(Exception, match=r"cannot write .*y.*ulimit -f"),
+            writing(tmp_path / "y"),
+        ):
             (tmp_path / "y").write_bytes(b"a" * 100)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
