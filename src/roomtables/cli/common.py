@@ -119,7 +119,7 @@ def format_option(*formats: str, default: str = "table") -> Callable[[Command], 
         type=click.Choice(formats or FORMATS),
         default=default,
         show_default=True,
-        help="How to print.",
+        help="How to print. In csv, text that a spreadsheet would run gets a ' in front.",
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from roomtables.errors import StoreError
 from roomtables.storage.files import write_aside, writing
 from roomtables.storage.refusals import refusal
 
@@ -106,10 +107,10 @@ def test_writing_and_write_aside_speak_the_same_words(tmp_path):
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, most))
     try:
-        with pytest.raises(Exception, match=r"cannot write .*x: File too large.*ulimit -f"):
+        with pytest.raises(StoreError, match=r"cannot write .*x: File too large.*ulimit -f"):
             write_aside(tmp_path / "x", b"a" * 100)
         with (
-            pytest.raises(Exception, match=r"cannot write .*y.*ulimit -f"),
+            pytest.raises(StoreError, match=r"cannot write .*y.*ulimit -f"),
             writing(tmp_path / "y"),
         ):
             (tmp_path / "y").write_bytes(b"a" * 100)
