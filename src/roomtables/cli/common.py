@@ -7,6 +7,7 @@ import io
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from numbers import Number
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -210,7 +211,7 @@ def _cell(value: Any, float_format: str) -> str:
 
 def _csv_cell(value: Any) -> str:
     text = _cell(value, "")
-    return text if isinstance(value, int | float) else csv_cell(text)
+    return text if isinstance(value, Number) else csv_cell(text)
 
 
 class Warnings:

@@ -15,6 +15,7 @@ from roomtables.config import pipeline_folder
 from roomtables.errors import InputError
 from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES, literal, parquet, plain_path
 from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.refusals import refusal
 from roomtables.storage.versions import Version
 
 
@@ -104,12 +105,8 @@ def _decision(connection: Any, version: Version) -> None:
 
 
 def _sentence_scores(connection: Any, tables: Path) -> None:
-    from roomtables.storage.score_parts import (
-        SCORES,
-        all_parts,
-        listed,
-        live_parts,
-    )  # brings pyarrow
+    # Brings pyarrow.
+    from roomtables.storage.score_parts import SCORES, all_parts, listed, live_parts
 
     folders = [path for path in listed(tables / SCORES) if path.is_dir()]
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
@@ -141,6 +138,8 @@ def select(connection: Any, query: str) -> tuple[list[str], list[tuple[Any, ...]
     ------
     InputError
         The query is wrong, is more than one statement, or would write.
+    StoreError
+        Memory runs out, or a table cannot be read.
     """
     import duckdb
 
@@ -151,5 +150,8 @@ def select(connection: Any, query: str) -> tuple[list[str], list[tuple[Any, ...]
         result = connection.execute(query)
         return [column[0] for column in result.description], result.fetchall()
     except duckdb.Error as error:
+        refused = refusal(error, doing="read")
+        if refused is not None:
+            raise refused from error
         text = " ".join(str(error).split())
         raise InputError(f'SQL: {text}; `roomtables sql "show tables"` lists the tables') from error

@@ -7,6 +7,7 @@ import logging
 import os
 import subprocess
 import sys
+from decimal import Decimal
 
 import pytest
 from click.testing import CliRunner
@@ -55,7 +56,7 @@ def test_rows_are_printed_safely(format_):
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "=cmd|'x'!A0"])
 def test_a_spreadsheet_takes_no_cell_for_a_formula(text):
-    rows = [{"room": text, "objects": [text], "n": -1, "x": -0.25, text: None}]
+    rows = [{"room": text, "objects": [text], "n": -1, "x": Decimal("-0.25"), text: None}]
     header, cells = csv.reader(io.StringIO(render(rows, "csv")))
     assert [cells[0][0], cells[1][0], header[4][0]] == ["'", "'", "'"]
     assert cells[2:] == ["-1", "-0.25", ""]  # numbers are numbers
