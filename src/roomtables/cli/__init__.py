@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import click
 
+from roomtables.memory import spare_address_space
+
+spare_address_space()  # before numpy is imported, which starts OpenBLAS
+
 from roomtables.cli.common import Group
 from roomtables.cli.evaluating import evaluate_command, report_command
 from roomtables.cli.exploring import sql_command

@@ -11,8 +11,6 @@ import click
 
 from roomtables.cli.common import (
     Warnings,
-    as_json,
-    as_json_line,
     decision_options,
     emit,
     emit_lines,
@@ -26,6 +24,7 @@ from roomtables.cli.common import (
     weights_option,
 )
 from roomtables.cli.names import NameReport
+from roomtables.cli.printing import as_json, as_json_line
 from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables, classify_rooms
 from roomtables.online.prediction import Prediction

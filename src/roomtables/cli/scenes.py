@@ -13,7 +13,6 @@ import click
 
 from roomtables.cli.common import (
     Warnings,
-    as_json_line,
     decision_options,
     emit,
     emit_lines,
@@ -27,6 +26,7 @@ from roomtables.cli.common import (
 )
 from roomtables.cli.names import NameReport
 from roomtables.cli.naming import Namer, keep_names_option
+from roomtables.cli.printing import as_json_line, echo, safe_json
 from roomtables.cli.progress import progress_bar
 from roomtables.config import BuildConfig, load_labels
 from roomtables.errors import InputError, StoreError
@@ -97,7 +97,7 @@ def rooms(
     if frequencies:
         _emit_frequencies(found, "table" if format_ in ("jsonl", "nested") else format_, output)
     elif format_ == "nested":
-        emit_lines(write_nested(found), output)
+        emit_lines(map(safe_json, write_nested(found)), output)
     else:
         lines = (room.as_room().as_json() for scene in found for room in scene.rooms)
         if format_ == "jsonl":
@@ -173,7 +173,7 @@ def label(
     else:
         write_aside(output, json.dumps(graph.document, separators=(",", ":")).encode())
     names.print()
-    click.echo(f"{output}: {count} of {len(found)} rooms named", err=True)
+    echo(f"{output}: {count} of {len(found)} rooms named", err=True)
 
 
 @click.command()
@@ -221,7 +221,7 @@ def show(
     drawn = draw(replace(read, rooms=found), answers, output)
     rest = len(found) - drawn
     left_out = f"; {rest} without a place" if rest else ""
-    click.echo(f"{output}: {drawn} rooms drawn{left_out}", err=True)
+    echo(f"{output}: {drawn} rooms drawn{left_out}", err=True)
 
 
 def _answers(rooms: list[SceneRoom], predictions: Sequence[Any]) -> dict[str, tuple[str, float]]:

@@ -18,6 +18,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.naming import keep_names_option, room_namer
+from roomtables.cli.printing import echo
 from roomtables.online.classifier import RoomTables
 from roomtables.online.labeller import Labeller
 from roomtables.online.live import GraphLabeller
@@ -103,7 +104,7 @@ def serve(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    click.echo(f"labelling rooms of {recv}, publishing on {send}; Ctrl-C ends it", err=True)
+    echo(f"labelling rooms of {recv}, publishing on {send}; Ctrl-C ends it", err=True)
     gc.collect()
     gc.freeze()  # what is loaded by now stays; to look it over again would hold graphs up
     try:
@@ -111,4 +112,4 @@ def serve(
     finally:
         service.close()
         gc.unfreeze()
-    click.echo(f"stopped: {graphs.report()}", err=True)
+    echo(f"stopped: {graphs.report()}", err=True)

@@ -18,6 +18,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.printing import echo
 from roomtables.config import DEFAULT_LABELS, builtin_labels, load_labels
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, Name
@@ -181,7 +182,7 @@ def check(
         emit(f"{text}\n{summary(rows)}\n", output)
     else:
         emit(text, output)
-        click.echo(summary(rows), err=True)
+        echo(summary(rows), err=True)
 
 
 def _object_names(tables: Path, labels: str | None) -> Mapping[str, Name]:
@@ -221,9 +222,15 @@ def save_labels(space: LabelSpace, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to {folder}: {error.strerror}") from error
-    for name, text in space.csv_files().items():
-        write_aside(folder / name, text.encode())
-    click.echo(
+    files = {folder / name: text for name, text in space.csv_files().items()}
+    try:
+        for path, text in files.items():
+            write_aside(path, text.encode())
+    except BaseException:  # half a label space would be in the way of the next try
+        for path in files:
+            path.unlink(missing_ok=True)
+        raise
+    echo(
         f"wrote {folder}: {len(space.objects)} objects, {len(space.rooms)} rooms; "
         f"now run `roomtables build --labels {folder}`"
     )
