@@ -78,3 +78,16 @@ def test_evaluate_says_how_many_were_backed_off_and_which_names_are_unknown(
     assert "backed off to rule pooled: 1;" in result.stdout
     assert 'unknown to label space flat: "lmp" (lamp?)' in result.stderr
     assert "pooled: 0;" in run(folder, "evaluate", path, "--no-backoff").stdout
+
+
+@pytest.mark.parametrize("format_", ["jsonl", "nested", "csv"])
+def test_rooms_tells_of_names_that_the_default_label_space_does_not_know(
+    tmp_path: Path, format_: str
+) -> None:
+    path = tmp_path / "rooms.jsonl"
+    path.write_text('{"room_id": "1", "objects": ["couch", "toilte", "Chair_2"]}\n')
+    result = CliRunner().invoke(main, ["rooms", str(path), "--format", format_])
+    assert result.exit_code == 0
+    assert "toilte" in result.stdout
+    assert result.stderr.startswith('unknown to label space household: "toilte" (toilet')
+    assert result.stderr.count("\n") == 1

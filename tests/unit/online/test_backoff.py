@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from roomtables import RoomTables, evaluate
-from roomtables.errors import InputError, MissingExtraError
+from roomtables.errors import InputError
 from roomtables.rooms import Room
 from roomtables.storage.misses import FOLDER, Misses
 from tiny_tables import FitScorer, build_tables
@@ -89,15 +89,9 @@ def test_a_model_at_hand_answers_instead(folder: Path) -> None:
 
 @pytest.mark.parametrize("objects", [MISSED, [*MISSED, "toilte"], [*HELD, "toilte"], ["toilte"]])
 def test_a_model_that_is_not_there_fails_nothing_and_is_missed_once(
-    folder: Path,
-    objects: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    folder: Path, objects: list[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    def missing(*_: object, **__: object) -> None:
-        raise MissingExtraError("loading a model", "lm")
-
-    monkeypatch.setattr("roomtables.lm.load_scorer", missing)
+    # No model is called as the scorer of these tables is.
     tables, offline = opened(folder), opened(folder, offline=True)
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
