@@ -280,6 +280,12 @@ def run(folder: Path, examples: int, make: Make, parse: Callable[[Path, bytes], 
     once()
 
 
+@pytest.fixture(autouse=True)
+def no_cache_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hashes of weights that a test made up are remembered in its own folder."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
 @pytest.mark.parametrize("target", TARGETS)
 def test_parsers(tmp_path: Path, target: str) -> None:
     run(tmp_path, 100, *TARGETS[target])

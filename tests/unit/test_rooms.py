@@ -46,7 +46,7 @@ def test_no_truth_and_blank_lines():
         ("1" * 5000, "line 2: an integer of more than 20 digits"),
         ('{"room_id": "a", "objects": ["\\ud800"]}', "line 2: half of a surrogate pair"),
         ('{"room_id": "a", "objects": [], "counts": [NaN]}', "line 2: invalid JSON"),
-        ('{"room_id": "a", "objects": ["' + "x" * 1001 + '"]}', "line 2: a name of more than"),
+        ('{"room_id": "a", "objects": ["' + "x" * 10_001 + '"]}', "line 2: a name of more than"),
     ],
 )
 def test_malformed_lines_are_named(line, said):

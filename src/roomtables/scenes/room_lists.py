@@ -144,8 +144,9 @@ def read_csv_rooms(file: SceneFile, options: ReadOptions) -> Scene:
         names = objects.setdefault(room_id, [])
         names += [name] if name else []
         if truth and truths.setdefault(room_id, truth) != truth:
-            before = truths[room_id]
-            raise InputError(f"{where}: room {room_id} is `{truth}` here and `{before}` above")
+            before = truths[room_id][:40]
+            room = room_id[:40]
+            raise InputError(f"{where}: room {room} is `{truth[:40]}` here and `{before}` above")
     lines = (
         {"room_id": k, "room": truths.get(k), "objects": names} for k, names in objects.items()
     )

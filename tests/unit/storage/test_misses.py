@@ -66,7 +66,7 @@ def test_a_torn_line_costs_only_itself(tmp_path: Path) -> None:
         b'{"source": "proxy", "objects": ["\\ud800"], "asked": "2026-01-01T00:00:00+00:00"}',
         b'{"source": "gossip", "objects": ["a"], "asked": "2026-01-01T00:00:00+00:00"}',
         b'{"source": ["proxy"], "objects": ["a"], "asked": "2026-01-01T00:00:00+00:00"}',
-        b'{"source": "proxy", "objects": ["%s"], "asked": "2026-01-01"}' % (b"x" * 1001),
+        b'{"source": "proxy", "objects": ["%s"], "asked": "2026-01-01"}' % (b"x" * 10_001),
         b'{"source": "proxy", "objects": [%s"a"], "asked": "2026-01-01"}' % (b'"a",' * 8),
         b"1" * 5000, b"[" * 60_000, b"x" * 200_000,
     ],
