@@ -85,16 +85,20 @@ def evaluate_command(
         evaluations = compared.evaluations
     else:
         result = evaluate(rooms_file, opened, weights)
-        names = NameReport.of(opened)
-        for judged in result.judged:
-            names.take(judged.prediction)
-        click.get_current_context().call_on_close(names.print)
-        emit(
-            _summary(result) if as_text else as_json(result.as_json(statistics=statistics)), output
-        )
+        _report_names(opened, result)
+        found = _summary(result) if as_text else as_json(result.as_json(statistics=statistics))
+        emit(found, output)
         evaluations = (result,)
     _draw("per_room", evaluations, plot)
     _draw("calibration", evaluations, plot_calibration)
+
+
+def _report_names(tables: RoomTables, result: Evaluation) -> None:
+    """Tell at the end how the names in the rooms were read."""
+    names = NameReport.of(tables)
+    for judged in result.judged:
+        names.take(judged.prediction)
+    click.get_current_context().call_on_close(names.print)
 
 
 def check_plots(*paths: Path | None) -> None:

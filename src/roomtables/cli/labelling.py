@@ -97,11 +97,9 @@ def classify(
     elif format_ == "json":
         emit(as_json(list(records)), output)
     else:
-        left_out = set() if input_ else {"room_id"}
-        left_out |= set() if top else {"top"}
+        wanted = {"room_id": input_, "top": top, "reason": decision.get("min_probability")}
         text = _as_csv if format_ == "csv" else _as_table
-        sure = not decision.get("min_probability")
-        emit(text(list(records), left_out | ({"reason"} if sure else set())), output)
+        emit(text(list(records), {name for name in wanted if not wanted[name]}), output)
 
 
 def _as_csv(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from roomtables.cli.printing import echo
+from roomtables.cli.printing import echo, in_one_line
 from roomtables.labels import SYNONYM
 from roomtables.names import COMPOUND, NameReader
 from roomtables.online.classifier import RoomTables
@@ -96,4 +95,4 @@ def _add(counts: Counter[str], names: Mapping[str, int]) -> None:
 def _shown(name: str) -> str:
     """A name as a line can hold it."""
     cut = name if len(name) <= _LONGEST_SHOWN else name[:_LONGEST_SHOWN] + "…"
-    return cut if cut.isprintable() else json.dumps(cut)[1:-1]
+    return in_one_line(cut)

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from roomtables.config import ALL, AUTO, MISSES, NONE
 from roomtables.errors import ConfigError
-from roomtables.labels import LabelSpace, ObjectLabel, normalise
+from roomtables.labels import LabelSpace, ObjectLabel
+from roomtables.names import NameReader
 from roomtables.rooms import read_room_lines
 from roomtables.sentences import Template
 from roomtables.storage.files import refuse_outside
@@ -94,9 +95,9 @@ class Asked:
         """
         if combinations in {ALL, NONE, MISSES}:
             return cls()
-        numbers = _numbers(labels)
+        numbers, reader = _numbers(labels), NameReader(labels.object_names)
         rooms = {
-            tuple(sorted({numbers[name] for name in _labels(room.objects, labels)}))
+            tuple(sorted({numbers[name] for name in _labels(room.objects, reader)}))
             for room in read_room_lines(Path(combinations))
         }
         return cls(tuple(sorted(rooms - {()})))
@@ -119,9 +120,9 @@ class Asked:
             found = _published(space, labels)
         else:
             questions |= misses.taken
-        numbers = _numbers(labels)
+        numbers, reader = _numbers(labels), NameReader(labels.object_names)
         for source, objects in questions:
-            known = _labels(objects, labels)
+            known = _labels(objects, reader)
             if known and len(known) == len(objects):
                 row = np.array([[numbers[label] for label in sorted(set(known))]], np.int64)
                 found.setdefault(source, []).append(row)
@@ -175,10 +176,10 @@ def _numbers(labels: LabelSpace) -> dict[str, int]:
     return {o.label: number for number, o in enumerate(labels.objects, start=1)}
 
 
-def _labels(names: Iterable[str], labels: LabelSpace) -> list[str]:
-    """The labels of the known ones among some names, in their order."""
-    found = (labels.object_aliases.get(normalise(name)) for name in names)
-    return [label for label in found if label is not None]
+def _labels(names: Iterable[str], reader: NameReader) -> list[str]:
+    """The labels of the known ones among some names, in order, read as a lookup reads them."""
+    found = map(reader.read, names)
+    return [name.label for name in found if name is not None]
 
 
 def _published(space: SpaceFolder, labels: LabelSpace) -> dict[str, list[Ranks]]:

@@ -26,7 +26,7 @@ from roomtables.schemas import PROXY
 from roomtables.storage.misses import MissLog
 
 # Limits on what one room may ask of the model; what is beyond them stays unknown.
-_LONGEST_NAME = 100
+_LONGEST_NAME = 100  # bytes, each of which may be a token
 _MOST_UNLISTED = 50
 
 
@@ -170,5 +170,9 @@ def _picks_listed(room: Prediction) -> bool:
 
 def _askable(unlisted: Iterable[str]) -> list[str]:
     """The unlisted names of a room that the model is asked about, as a sentence says them."""
-    names = dict.fromkeys(as_spoken(name) for name in unlisted if len(name) <= _LONGEST_NAME)
+    names = dict.fromkeys(as_spoken(name) for name in unlisted if _is_short(name))
     return [name for name in names if any(map(str.isalpha, name))][:_MOST_UNLISTED]
+
+
+def _is_short(name: str) -> bool:
+    return len(name.encode(errors="replace")) <= _LONGEST_NAME

@@ -6,10 +6,10 @@ what ``CURRENT`` names. Everything here is for whoever holds the build lock.
 
 from __future__ import annotations
 
-import json
 import logging
 from pathlib import Path
 
+from roomtables.limits import JSON_BYTES, json_value, read_bytes
 from roomtables.storage.aside import REMOVING, asides, remove_abandoned, remove_folder
 from roomtables.storage.files import is_held, refuse_outside, writing
 from roomtables.storage.misses import FOLDER
@@ -72,7 +72,7 @@ def _foreign(version: Path) -> str:
     if version.is_symlink():
         return "link"
     try:
-        noted = json.loads((version / MANIFEST).read_bytes())["files"].keys()
+        noted = json_value(read_bytes(version / MANIFEST, JSON_BYTES))["files"].keys()
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return MANIFEST
     files = (path for path in version.rglob("*") if path.is_symlink() or not path.is_dir())

@@ -53,7 +53,7 @@ def test_unknown_names_of_many_rooms_are_counted(folder: Path) -> None:
     rooms = [{"room_id": str(n), "objects": ["bed", "gizmo", f"thing\x1b{n}"]} for n in range(20)]
     stdin = "".join(json.dumps(room) + "\n" for room in rooms)
     said = run(folder, "classify", "--input", "-", "--format", "jsonl", stdin=stdin).stderr
-    assert said.startswith('unknown to label space flat: "gizmo" 20 times, "thing\\u001b0"')
+    assert said.startswith('unknown to label space flat: "gizmo" 20 times, "thing\\x1b0"')
     assert said.endswith(", … (21 in all)\n")
 
 
