@@ -11,9 +11,11 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
 ARGUMENTS = {
+    "command": ("roomtables", "The program; a path where it is in an environment of its own"),
     "tables": ("tables", "The tables folder that `roomtables build` wrote"),
-    "labels": ("mpcat40", "The label space of the tables"),
-    "labelspace": ("", "Hydra's label-space YAML; needed where the graphs name no labels"),
+    "labels": ("", "The label space of the tables; by default household"),
+    "labelspace": ("", "The path of Hydra's label-space YAML, where the graphs name no labels"),
+    "offline": ("false", "true: never ask a language model"),
     "recv": ("tcp://127.0.0.1:8001", "Where Hydra's ZmqSink publishes"),
     "send": ("tcp://127.0.0.1:8002", "Where Hydra's ZmqRoomLabelUpdater listens"),
 }
@@ -22,8 +24,9 @@ ARGUMENTS = {
 def serve(context: LaunchContext) -> list[ExecuteProcess]:
     """The service, with each argument that has a value as an option."""
     values = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    options = [part for name, value in values.items() if value for part in (f"--{name}", value)]
-    command = ["roomtables", "serve", "--offline", *options]
+    command = [values.pop("command"), "serve"]
+    command += ["--offline"] * (values.pop("offline") == "true")
+    command += [part for name, value in values.items() if value for part in (f"--{name}", value)]
     return [ExecuteProcess(cmd=command, output="screen", respawn=True, respawn_delay=2.0)]
 
 

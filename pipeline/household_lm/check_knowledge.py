@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import csv
 import sys
+import tomllib
 from collections import Counter
 from itertools import chain
 from pathlib import Path
 from typing import Any
-
-import tomllib
 
 KNOWLEDGE = Path(__file__).parent / "knowledge"
 TIERS = ("nearly_always", "often", "sometimes", "rarely", "never")

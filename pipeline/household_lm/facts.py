@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import csv
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-
-import tomllib
 
 KNOWLEDGE = Path(__file__).parent / "knowledge"
 

@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from roomtables.errors import ConfigError, LabelSpaceError
+from roomtables.errors import ConfigError, InputError, LabelSpaceError
 from roomtables.labels import LabelSpace
 from roomtables.schemas import REDUCTIONS, RULES, SOURCES
 from roomtables.scorer import DTYPES, SCORINGS
@@ -44,11 +44,17 @@ def load_labels(name_or_folder: str) -> LabelSpace:
     LabelSpaceError
         There is no such folder and no such built-in label space.
     InputError
-        A file of the folder is malformed.
+        The folder cannot be read, or a file of it is malformed.
     """
     if name_or_folder in builtin_labels():
         return LabelSpace.load(pipeline_folder() / "labels" / name_or_folder)
-    if Path(name_or_folder).is_dir():
+    try:
+        is_folder = Path(name_or_folder).is_dir()
+    except OSError as error:
+        raise InputError(
+            f"cannot read label space {name_or_folder}: {error.strerror}; see who may read it"
+        ) from error
+    if is_folder:
         return LabelSpace.load(Path(name_or_folder))
     raise LabelSpaceError(
         f"no label space {name_or_folder!r}: neither a folder nor one of "

@@ -192,8 +192,10 @@ def _check_reserved(space: LabelSpace) -> None:
 def _check_distinct(labels: Sequence[ObjectLabel | RoomLabel], where: str) -> None:
     owner: dict[str, str] = {}
     for label in labels:
-        if owner.setdefault(normalise(label.label), label.label) is not label.label:
+        spelled = normalise(label.label)
+        if spelled in owner:
             raise LabelSpaceError(f"{where}: {label.label!r} is listed twice; remove one")
+        owner[spelled] = label.label
     for label in labels:
         for synonym in label.synonyms:
             other = owner.setdefault(normalise(synonym), label.label)
@@ -243,7 +245,7 @@ def _truth(text: str, where: str) -> bool:
     try:
         return _TRUTH_WORDS[text.casefold()]
     except KeyError:
-        raise InputError(f"{where}: `predicted` must be true or false, not {text!r}") from None
+        raise InputError(f"{where}: `predicted` must be true or false, not {text[:40]!r}") from None
 
 
 def _csv_text(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

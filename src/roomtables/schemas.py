@@ -166,6 +166,20 @@ def literal(text: object) -> str:
     return "'" + str(text).replace("'", "''") + "'"
 
 
+def parquet(*paths: object) -> str:
+    """What SQL selects from to read Parquet files, whatever stands in their paths.
+
+    DuckDB reads a path as a pattern: `a*b/x.parquet` would be every such file of every such folder.
+    """
+    files = ", ".join(literal(plain_path(path)) for path in paths)
+    return f"read_parquet([{files}])"
+
+
+def plain_path(path: object) -> str:
+    """A path in which no character stands for others when DuckDB reads it as a pattern."""
+    return "".join(f"[{character}]" if character in "*?[" else character for character in str(path))
+
+
 def identifier(name: str) -> str:
     """A column's or a table's name as SQL writes it, whatever stands in it."""
     return '"' + name.replace('"', '""') + '"'

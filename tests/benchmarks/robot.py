@@ -94,12 +94,12 @@ def unseen(
 
 
 def hits(tables: Path, labels: str, rooms: list[list[str]]) -> tuple[float, float]:
-    """Microseconds of the processor per room that the tables hold, alone (median) and in a batch."""
+    """Milliseconds of the processor per room in the tables, alone (median) and in a batch."""
     opened = RoomTables.open(tables, labels, rule="query", offline=True)
     assert all(p.answered_by == "table" for p in opened.classify_many(rooms))
-    single = [1000 * processor_ms(lambda room=room: opened.classify(room)) for room in rooms * 20]  # type: ignore[misc]
+    single = [processor_ms(lambda room=room: opened.classify(room)) for room in rooms * 20]  # type: ignore[misc]
     batch = min(processor_ms(lambda: opened.classify_many(rooms * 100)) for _ in range(5))
-    return float(np.median(single)), 1000 * batch / len(rooms) / 100
+    return float(np.median(single)), batch / len(rooms) / 100
 
 
 def combinations(labels: str, count: int) -> list[list[str]]:
@@ -151,9 +151,7 @@ def run(tables: Path, labels: str, runs: int, alone: int) -> None:
     }  # fmt: skip
     found = unseen(scorers, tables, labels, others, alone)
     per_room = [[f"unseen room, {name}", *measured] for name, measured in found.items()]
-    per_room.append(
-        ["room in the table", *(micros / 1000 for micros in hits(tables, labels, held))]
-    )
+    per_room.append(["room in the table", *hits(tables, labels, held)])
     heads = ["", "alone, ms of CPU", f"in batches of {BATCH}"]
     print(tabulate(per_room, heads, floatfmt=("", ".4g", ".4g")))
 

@@ -174,13 +174,13 @@ def test_a_read_only_folder_is_named(tmp_path, labels):
     tables = tmp_path / "t"
     tables.mkdir()
     tables.chmod(stat.S_IRUSR | stat.S_IXUSR)
-    with pytest.raises(StoreError, match=r"cannot write to .*Permission denied.*--tables DIR"):
+    with pytest.raises(StoreError, match=r"cannot write .*permission denied.*--tables DIR"):
         build(tables=tables, labels=labels, scorer=HashScorer())
 
 
 def test_a_file_where_a_folder_should_be(tmp_path, labels):
     (tmp_path / "t").write_text("")
-    with pytest.raises(StoreError, match="cannot write to"):
+    with pytest.raises(StoreError, match="cannot write"):
         build(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
     (tmp_path / "u").mkdir()
     (tmp_path / "u" / "small").write_text("")

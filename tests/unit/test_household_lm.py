@@ -25,14 +25,8 @@ def pairs() -> list[tuple[str, str]]:
 def test_the_model_is_small_and_holds_no_pickle() -> None:
     files = [path for path in EMBEDDED_FOLDER.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= 16 * 2**20
-    assert {path.suffix for path in files} <= {
-        ".safetensors",
-        ".onnx",
-        ".json",
-        ".md",
-        ".png",
-        ".csv",
-    }
+    kinds = {".safetensors", ".onnx", ".json", ".md", ".png", ".csv"}
+    assert {path.suffix for path in files} <= kinds
     assert (EMBEDDED_FOLDER / "README.md").is_file()
 
 

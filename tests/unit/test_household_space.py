@@ -59,6 +59,8 @@ def test_each_name_of_a_list_is_read_as_it_says(name, reader):
     for entry in entries:
         found = reader.read(entry.name)
         assert not entry.object or (found and found.label == entry.object), entry
+        if "read as" in entry.why:  # another thing; else the list is behind the reader
+            assert found, entry
     assert all(bool(entry.object) != bool(entry.why) for entry in entries)
     assert Counts.of(entries).share >= LEAST.get(name, 0.75)
 

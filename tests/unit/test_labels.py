@@ -1,4 +1,7 @@
+import os
 import random
+import tempfile
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -152,6 +155,40 @@ def test_a_synonym_belongs_to_one_label():
     objects = (ObjectLabel("bed", "beds", ("cot",)), ObjectLabel("crib", "cribs", ("cot",)))
     with pytest.raises(LabelSpaceError, match="'cot'"):
         LabelSpace("x", objects, (RoomLabel("office", "an"),))
+
+
+def test_a_label_is_listed_once_however_the_space_was_made():
+    twice = (ObjectLabel("bed", "beds"), ObjectLabel("".join("bed"), "beds"))
+    with pytest.raises(LabelSpaceError, match="'bed' is listed twice"):
+        LabelSpace("x", twice, (RoomLabel("office", "an"),))
+    rooms = (RoomLabel("office", "an"), RoomLabel("Office", "an"))
+    with pytest.raises(LabelSpaceError, match="is listed twice"):
+        LabelSpace("x", twice[:1], rooms)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become nobody")
+@pytest.mark.parametrize("closed", [".", "space", "space/small", "space/small/objects.csv"])
+def test_what_may_not_be_read_is_one_line(closed):
+    with tempfile.TemporaryDirectory() as home:
+        Path(home).chmod(0o755)
+        folder = write_space(Path(home) / "space", small_space())
+        (Path(home) / closed).chmod(0)
+        assert as_nobody(lambda: load_labels(str(folder))) == 0
+
+
+def as_nobody(read):
+    """0 where reading, in a child that may read little, ends in one line."""
+    child = os.fork()
+    if not child:
+        os.setuid(65534)
+        try:
+            read()
+        except InputError as error:
+            os._exit(0 if "\n" not in str(error) else 3)
+        except BaseException:
+            os._exit(2)
+        os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def test_a_written_name_wins_over_a_derived_one():

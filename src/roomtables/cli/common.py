@@ -4,32 +4,36 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from numbers import Number
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import click
 
-from roomtables import __version__
+from roomtables.cli.checks import check_arguments, check_room
 from roomtables.cli.interrupts import end_interrupted, interruptible, noticing_interrupts
+from roomtables.cli.printing import (
+    as_json,
+    as_json_line,
+    csv_cell,
+    echo,
+    in_one_line,
+    log_to_stderr,
+)
 from roomtables.cli.progress import write_line
 from roomtables.config import DEFAULT_LABELS
 from roomtables.errors import RoomtablesError, needing
-from roomtables.online.classifier import RoomTables
-from roomtables.online.prediction import Prediction
 from roomtables.rooms import MEASURES
-from roomtables.scenes.dsg import NamedRoom
 from roomtables.schemas import RULES, SOURCES
 from roomtables.storage.files import write_aside
+from roomtables.storage.refusals import refusal
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 FORMATS = ("table", "json", "jsonl", "csv")
-_MOST_NAMES = 65_536  # answers whose names a Namer remembers
 
 
 class Group(click.Group):
@@ -43,20 +47,42 @@ class Group(click.Group):
             return super().main(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
-        logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-        logging.addLevelName(logging.WARNING, "warning")
+        log_to_stderr()
         try:
             with noticing_interrupts(), needing("this command"):
                 return super().invoke(ctx)
         except RoomtablesError as error:
-            click.echo(f"error: {' '.join(str(error).split())}", err=True)
-            ctx.exit(1)
+            _end(ctx, error)
         except BrokenPipeError:
             # The reader of our output left: nothing more to say, not even at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(1)
         except KeyboardInterrupt:
             end_interrupted(ctx)
+        except click.ClickException as error:
+            said = io.StringIO()
+            error.show(said)
+            echo(said.getvalue(), err=True, nl=False)
+            ctx.exit(error.exit_code)
+        except Exception as error:  # what is no refusal of the system is a bug, and shows as one
+            refused = refusal(error, doing="use")
+            if refused is None:
+                raise
+            _end(ctx, refused)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        check_arguments(args)
+        name, command, rest = super().resolve_command(ctx, args)
+        check_room(name or "")
+        return name, command, rest
+
+
+def _end(ctx: click.Context, error: RoomtablesError) -> NoReturn:
+    """Say in one line what to correct, and exit with code 1."""
+    echo(f"error: {' '.join(str(error).split())}", err=True)
+    ctx.exit(1)
 
 
 tables_option = click.option(
@@ -97,7 +123,7 @@ def format_option(*formats: str, default: str = "table") -> Callable[[Command], 
         type=click.Choice(formats or FORMATS),
         default=default,
         show_default=True,
-        help="How to print.",
+        help="How to print. In csv, text that a spreadsheet would run gets a ' in front.",
     )
 
 
@@ -157,35 +183,25 @@ def render(
         return as_json([dict(row) for row in rows])
     if format_ == "jsonl":
         return "".join(as_json_line(row) for row in rows)
-    float_format = "" if format_ == "csv" else ".4g"  # CSV is for programs: nothing rounded
-    cells = [[_cell(row.get(name), float_format) for name in names] for row in rows]
-    if format_ == "csv":
+    if format_ == "csv":  # for programs: nothing rounded
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(names)
-        writer.writerows(cells)
+        writer.writerow(map(csv_cell, names))
+        writer.writerows([_csv_cell(row.get(name)) for name in names] for row in rows)
         return buffer.getvalue()
     from tabulate import tabulate
 
-    return tabulate(cells, headers=names, tablefmt="simple", disable_numparse=True) + "\n"
-
-
-def as_json(value: object) -> str:
-    """Indented JSON, with a line end."""
-    return json.dumps(value, indent=2, ensure_ascii=False, default=str) + "\n"
-
-
-def as_json_line(value: object) -> str:
-    """JSON on one line, with a line end."""
-    return json.dumps(value, ensure_ascii=False, default=str) + "\n"
+    cells = [[in_one_line(_cell(row.get(name), ".4g")) for name in names] for row in rows]
+    headers = [in_one_line(name) for name in names]
+    return tabulate(cells, headers=headers, tablefmt="simple", disable_numparse=True) + "\n"
 
 
 def emit(text: str, output: Path | None = None) -> None:
     """Print, or write the file whole."""
     if output is None:
-        click.echo(text, nl=False)
+        echo(text, nl=False)
     else:
-        write_aside(output, text.encode())
+        write_aside(output, text.encode(errors="backslashreplace"))
 
 
 def emit_lines(lines: Iterable[str], output: Path | None) -> None:
@@ -194,7 +210,7 @@ def emit_lines(lines: Iterable[str], output: Path | None) -> None:
         emit("".join(lines), output)
         return
     for line in lines:
-        click.echo(line, nl=False)
+        echo(line, nl=False)
 
 
 def _cell(value: Any, float_format: str) -> str:
@@ -207,6 +223,11 @@ def _cell(value: Any, float_format: str) -> str:
     return str(value)
 
 
+def _csv_cell(value: Any) -> str:
+    text = _cell(value, "")
+    return text if isinstance(value, Number) else csv_cell(text)
+
+
 class Warnings:
     """Prints each warning once, above a progress bar."""
 
@@ -216,48 +237,4 @@ class Warnings:
     def __call__(self, message: str) -> None:
         if message not in self._said:
             self._said.add(message)
-            write_line(f"warning: {message}")
-
-
-class Namer:
-    """Makes names of answers; an answer that was named before costs a dictionary lookup."""
-
-    def __init__(self, tables: RoomTables) -> None:
-        manifest = tables.version.manifest
-        self._shared = {
-            "model": manifest.query_scorer_id or manifest.scorer_id,
-            "labels": manifest.labels,
-            "version": tables.version.name,
-            "roomtables": __version__,
-        }
-        # By identity; each entry holds its answer, so that no other can take its id.
-        self._named: dict[int, tuple[Prediction, NamedRoom]] = {}
-
-    def __call__(self, answers: Mapping[str, Prediction]) -> dict[str, NamedRoom]:
-        """A name for each answered room, with what a reader of the graph needs to judge it."""
-        if len(self._named) > _MOST_NAMES:
-            self._named.clear()
-        return {key: self._known(answer) for key, answer in answers.items() if answer.room}
-
-    def _known(self, answer: Prediction) -> NamedRoom:
-        known = self._named.get(id(answer))
-        if known is None:
-            known = self._named[id(answer)] = answer, self._name(answer)
-        return known[1]
-
-    def _name(self, answer: Prediction) -> NamedRoom:
-        assert answer.room is not None
-        return NamedRoom(answer.room, answer.probabilities, _provenance(answer) | self._shared)
-
-
-def _provenance(answer: Prediction) -> dict[str, object]:
-    return {
-        "label": answer.room,
-        "probability": answer.probability,
-        "objects": list(answer.objects),
-        "rule": answer.rule,
-        "source": answer.source,
-        "answered_by": answer.answered_by,
-        "read_as": answer.read_as,
-        "unknown_objects": list(answer.unknown_objects),
-    }
+            write_line(f"warning: {in_one_line(message)}")

@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from roomtables.cli.common import (
-    as_json,
     decision_options,
     emit,
     format_option,
@@ -19,6 +18,7 @@ from roomtables.cli.common import (
     weights_option,
 )
 from roomtables.cli.names import NameReport
+from roomtables.cli.printing import as_json, echo
 from roomtables.evaluation import Evaluation, evaluate
 from roomtables.evaluation.comparison import (
     Comparison,
@@ -112,7 +112,7 @@ def _draw(kind: str, drawn: object, path: Path | None) -> None:
     from roomtables.report import plots
 
     plots.save(getattr(plots, f"{kind}_figure")(drawn), path)
-    click.echo(f"drew {path}", err=True)
+    echo(f"drew {path}", err=True)
 
 
 def _summary(result: Evaluation) -> str:
@@ -208,4 +208,4 @@ def report_command(
 
     text = report(RoomTables.open(tables, labels, **decision), rooms_file)
     emit(text, output)
-    click.echo(f"wrote {output}")
+    echo(f"wrote {output}")

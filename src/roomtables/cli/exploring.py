@@ -19,6 +19,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.printing import echo
 from roomtables.errors import InputError, MissingExtraError
 from roomtables.schemas import SCORES
 from roomtables.storage.files import held
@@ -78,14 +79,14 @@ def _interact(connection: Any, format_: str, output: Path | None) -> None:
     if terminal:
         with suppress(ImportError):
             import readline  # noqa: F401  (arrow keys and history for input())
-        click.echo(_HELP)
+        echo(_HELP)
     answers: list[str] = []
     query = ""
     while (line := _read(terminal, query)) is not None:
         if not query and line.strip() in _LEAVE:
             break
         if not query and line.strip() == ".tables":
-            click.echo(render(guide(connection), "table"), nl=False)
+            echo(render(guide(connection), "table"), nl=False)
             continue
         query = f"{query}{line}\n" if line.strip() or query else ""
         if query.rstrip().endswith(";"):
@@ -113,10 +114,10 @@ def _answer_at_prompt(connection: Any, query: str, format_: str, terminal: bool)
     except InputError as error:
         if not terminal:
             raise
-        click.echo(f"error: {error}", err=True)
+        echo(f"error: {error}", err=True)
         return ""
     if terminal:
-        click.echo(text, nl=False)
+        echo(text, nl=False)
     return text
 
 

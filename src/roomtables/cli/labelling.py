@@ -1,11 +1,7 @@
-"""Commands that label rooms: classify, and serve for a running robot's."""
+"""The command that labels rooms by their objects: classify."""
 
 from __future__ import annotations
 
-import gc
-import logging
-import signal
-import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -14,10 +10,7 @@ from typing import Any
 import click
 
 from roomtables.cli.common import (
-    Namer,
     Warnings,
-    as_json,
-    as_json_line,
     decision_options,
     emit,
     emit_lines,
@@ -31,13 +24,13 @@ from roomtables.cli.common import (
     weights_option,
 )
 from roomtables.cli.names import NameReport
+from roomtables.cli.printing import as_json, as_json_line
+from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables, classify_rooms
 from roomtables.online.prediction import Prediction
-from roomtables.online.serve import Labeller, Service
 from roomtables.rooms import Room
 from roomtables.scenes import read_rooms
 from roomtables.scenes.matterport_labels import house_labels
-from roomtables.scenes.sparkdsg import GraphCodec, LiveGraph
 
 _CHUNK = 1024  # rooms whose misses share one pass of the model
 _COLUMNS = (
@@ -121,7 +114,7 @@ def _as_table(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:
 
     Why a room has no answer, and what names were read as, are columns where there is such a room.
     """
-    rows = [_row(record) for record in records]
+    rows = [_row(record, by_case=False) for record in records]
     for row in rows:
         row["reason"] = row.get("reason") or _why_unanswered(row)
     if any(row["reason"] for row in rows):
@@ -133,10 +126,12 @@ def _as_table(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:
     return text + "".join(_explanation(record) for record in records if "evidence" in record)
 
 
-def _row(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A record with cells of text for what is nested."""
+def _row(record: Mapping[str, Any], by_case: bool = True) -> dict[str, Any]:
+    """A record with cells of text; ``by_case``: tell of ``Chair = chair``, too."""
     top = [f"{room} {probability:.3f}" for room, probability in record["probabilities"].items()]
-    read_as = [f"{given} = {label}" for given, label in record["read_as"].items()]
+    pairs = record["read_as"].items()
+    told = [(given, label) for given, label in pairs if by_case or normalise(given) != label]
+    read_as = [f"{given} = {label}" for given, label in told]
     return {**record, "top": top, "read_as": read_as}
 
 
@@ -179,70 +174,3 @@ def _record(room: Room, prediction: Prediction, top: int | None, explain: bool) 
     if explain:
         record["evidence"] = [said.as_json() for said in prediction.evidence]
     return record
-
-
-@click.command()
-@click.option(
-    "--recv",
-    default="tcp://127.0.0.1:8001",
-    show_default=True,
-    help="Where graphs come from: Hydra's ZmqSink.",
-)
-@click.option(
-    "--send",
-    default="tcp://127.0.0.1:8002",
-    show_default=True,
-    help="Where labelled graphs are published: Hydra's ZmqRoomLabelUpdater listens there.",
-)
-@click.option(
-    "--report-every",
-    type=click.FloatRange(min=0.1),
-    default=10.0,
-    show_default=True,
-    help="Seconds between two lines of counters on stderr.",
-)
-@tables_option
-@labels_option
-@labelspace_option
-@decision_options
-def serve(
-    recv: str,
-    send: str,
-    report_every: float,
-    tables: Path,
-    labels: str | None,
-    labelspace: Path | None,
-    offline: bool,
-    **decision: Any,
-) -> None:
-    """Label a running Hydra's rooms as they change, until interrupted.
-
-    What no table holds is answered by pooled evidence at once, and by the language model a little
-    later, unless --offline forbids it.
-
-    \b
-    Example:
-      roomtables serve --labelspace ade20k_mp3d_label_space.yaml
-    """
-    logging.addLevelName(logging.INFO, "info")
-    logging.getLogger("roomtables").setLevel(logging.INFO)
-    opened = RoomTables.open(tables, labels, offline=True, **decision)
-    asking = None if offline else RoomTables.open(tables, labels, **decision)
-    candidates, namer = [room.label for room in opened.candidates], Namer(opened)
-
-    def name(graph: LiveGraph, answers: Mapping[str, Prediction]) -> None:
-        graph.name_rooms(namer(answers), candidates)
-
-    service = Service(GraphCodec(labelspace), Labeller(opened, asking), name, recv, send)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    click.echo(f"labelling rooms of {recv}, publishing on {send}; Ctrl-C ends it", err=True)
-    gc.collect()
-    gc.freeze()  # what is loaded by now stays; to look it over again would hold graphs up
-    try:
-        service.run(stop, report_every)
-    finally:
-        service.close()
-        gc.unfreeze()
-    click.echo(f"stopped: {service.counters.line()}", err=True)

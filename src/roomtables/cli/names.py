@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-import click
-
+from roomtables.cli.printing import echo
 from roomtables.labels import SYNONYM
 from roomtables.names import COMPOUND, NameReader
 from roomtables.online.classifier import RoomTables
@@ -55,7 +54,7 @@ class NameReport:
         """Tell what was read as something else, and what is unknown."""
         if other := list(self._read_otherwise()):
             more = ", …" if len(other) > _MOST_SHOWN else ""
-            click.echo(f"read as: {', '.join(other[:_MOST_SHOWN])}{more}", err=True)
+            echo(f"read as: {', '.join(other[:_MOST_SHOWN])}{more}", err=True)
         self.print_unknown()
 
     def print_unknown(self) -> None:
@@ -64,7 +63,7 @@ class NameReport:
             shown = self._unknown.most_common(_MOST_SHOWN)
             more = f", … ({len(self._unknown)} in all)" if len(self._unknown) > len(shown) else ""
             names = ", ".join(self._suggested(name, times) for name, times in shown)
-            click.echo(f"unknown to label space {self._labels}: {names}{more}", err=True)
+            echo(f"unknown to label space {self._labels}: {names}{more}", err=True)
 
     def _watch(self, rooms: Iterable[SceneRoom]) -> Iterator[SceneRoom]:
         for room in rooms:

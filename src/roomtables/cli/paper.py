@@ -8,8 +8,9 @@ from typing import Any
 
 import click
 
-from roomtables.cli.common import as_json, emit, format_option, output_option, render
+from roomtables.cli.common import emit, format_option, output_option, render
 from roomtables.cli.evaluating import check_plots
+from roomtables.cli.printing import as_json, echo
 from roomtables.config import BuildConfig
 from roomtables.errors import needing
 from roomtables.evaluation.paper import Reproduction, Trial, reproduce
@@ -131,4 +132,4 @@ def _draw(found: Reproduction, path: Path) -> None:
         for trial in shown
     ]
     save(per_room_figure([t.evaluation for t in shown if t.evaluation], names), path)
-    click.echo(f"drew {path}", err=True)
+    echo(f"drew {path}", err=True)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
-import click
+from roomtables.cli.printing import echo
 
 Item = TypeVar("Item")
 
@@ -26,7 +26,7 @@ def progress_bar(items: Sequence[Item], unit: str) -> Iterable[Item]:
 def write_line(text: str) -> None:
     """Print a line on stderr, above the bar where one is shown."""
     if "tqdm" not in sys.modules:
-        click.echo(text, err=True)
+        echo(text, err=True)
         return
     from tqdm import tqdm
 

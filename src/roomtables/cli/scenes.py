@@ -12,9 +12,7 @@ from typing import Any
 import click
 
 from roomtables.cli.common import (
-    Namer,
     Warnings,
-    as_json_line,
     decision_options,
     emit,
     emit_lines,
@@ -27,6 +25,8 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.names import NameReport
+from roomtables.cli.naming import Namer, keep_names_option
+from roomtables.cli.printing import as_json_line, echo, safe_json
 from roomtables.cli.progress import progress_bar
 from roomtables.config import BuildConfig, load_labels
 from roomtables.errors import InputError, StoreError
@@ -97,7 +97,7 @@ def rooms(
     if frequencies:
         _emit_frequencies(found, "table" if format_ in ("jsonl", "nested") else format_, output)
     elif format_ == "nested":
-        emit_lines(write_nested(found), output)
+        emit_lines(map(safe_json, write_nested(found)), output)
     else:
         lines = (room.as_room().as_json() for scene in found for room in scene.rooms)
         if format_ == "jsonl":
@@ -136,6 +136,7 @@ def _emit_frequencies(scenes: Iterable[Scene], format_: str, output: Path | None
 @tables_option
 @labels_option
 @labelspace_option
+@keep_names_option
 @decision_options
 def label(
     scene: Path,
@@ -143,9 +144,13 @@ def label(
     tables: Path,
     labels: str | None,
     labelspace: Path | None,
+    keep_names: bool,
     **decision: Any,
 ) -> None:
     """Name the rooms of a scene graph; nothing else in the graph changes.
+
+    A room without an answer gets back the name that its id stands for, if the one it bears is from
+    roomtables.
 
     \b
     Example:
@@ -161,13 +166,14 @@ def label(
         names.take(answer)
     by_room = {room.room_id: answer for room, answer in zip(found, answers, strict=True)}
     named = Namer(opened)(by_room)
-    label_rooms(graph, named, [room.label for room in opened.candidates])
+    candidates = [room.label for room in opened.candidates]
+    count = label_rooms(graph, named, candidates, keep_names=keep_names)
     if output.suffix == ".sparkdsg":
         write_sparkdsg(graph.document, output)
     else:
         write_aside(output, json.dumps(graph.document, separators=(",", ":")).encode())
     names.print()
-    click.echo(f"{output}: {len(named)} of {len(found)} rooms named", err=True)
+    echo(f"{output}: {count} of {len(found)} rooms named", err=True)
 
 
 @click.command()
@@ -215,7 +221,7 @@ def show(
     drawn = draw(replace(read, rooms=found), answers, output)
     rest = len(found) - drawn
     left_out = f"; {rest} without a place" if rest else ""
-    click.echo(f"{output}: {drawn} rooms drawn{left_out}", err=True)
+    echo(f"{output}: {drawn} rooms drawn{left_out}", err=True)
 
 
 def _answers(rooms: list[SceneRoom], predictions: Sequence[Any]) -> dict[str, tuple[str, float]]:

@@ -18,6 +18,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.printing import echo
 from roomtables.config import DEFAULT_LABELS, builtin_labels, load_labels
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, Name
@@ -95,7 +96,7 @@ def show(space: str, format_: str, output: Path | None) -> None:
 @click.argument("yaml_file", metavar="YAML", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--rooms-of",
-    default="mpcat40",
+    default=DEFAULT_LABELS,
     show_default=True,
     metavar="NAME|DIR",
     help="The label space whose rooms to take; Hydra's file names none.",
@@ -115,7 +116,7 @@ def import_command(yaml_file: Path, rooms_of: str, output: Path) -> None:
       roomtables labels import ade20k_mp3d_label_space.yaml -o ade20k
     """
     found = read_hydra_labels(yaml_file)
-    rooms, known = load_labels(rooms_of).rooms, load_labels("nyuclass").objects
+    rooms, known = load_labels(rooms_of).rooms, load_labels(DEFAULT_LABELS).objects
     space = to_label_space(found, output.resolve().name, rooms, known)
     save_labels(space, output)
 
@@ -181,7 +182,7 @@ def check(
         emit(f"{text}\n{summary(rows)}\n", output)
     else:
         emit(text, output)
-        click.echo(summary(rows), err=True)
+        echo(summary(rows), err=True)
 
 
 def _object_names(tables: Path, labels: str | None) -> Mapping[str, Name]:
@@ -221,9 +222,15 @@ def save_labels(space: LabelSpace, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to {folder}: {error.strerror}") from error
-    for name, text in space.csv_files().items():
-        write_aside(folder / name, text.encode())
-    click.echo(
+    files = {folder / name: text for name, text in space.csv_files().items()}
+    try:
+        for path, text in files.items():
+            write_aside(path, text.encode())
+    except BaseException:  # half a label space would be in the way of the next try
+        for path in files:
+            path.unlink(missing_ok=True)
+        raise
+    echo(
         f"wrote {folder}: {len(space.objects)} objects, {len(space.rooms)} rooms; "
         f"now run `roomtables build --labels {folder}`"
     )

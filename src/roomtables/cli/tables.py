@@ -10,7 +10,6 @@ import click
 
 from roomtables.cli.common import (
     Command,
-    as_json,
     emit,
     format_option,
     output_option,
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 from roomtables.cli.common import (
     labels_option,
 )
+from roomtables.cli.printing import as_json, echo
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.spaces import find_space
 
@@ -94,7 +94,7 @@ def build_command(
         emit(as_json(report.as_json()))
         return
     done = "published" if report.published else "up to date:"
-    click.echo(
+    echo(
         f"{done} {report.labels} {report.version} in {tables}: "
         f"{report.sentences_scored:,} sentences scored, {report.sentences_cached:,} cached, "
         f"{report.seconds:.1f} s"
@@ -228,11 +228,11 @@ def export_command(output: Path, with_model: bool, tables: Path, labels: str | N
     space = find_space(tables, labels).labels
     packed = export(tables, space, output, write_robot_model if with_model else None)
     for found in packed:
-        click.echo(
+        echo(
             f"{found.source}: {found.combinations:,} combinations x {found.rooms} rooms, "
             f"{_megabytes(found.bytes)} unpacked"
         )
-    click.echo(f"{output}: {_megabytes(output.stat().st_size)}")
+    echo(f"{output}: {_megabytes(output.stat().st_size)}")
 
 
 def _megabytes(size: int) -> str:

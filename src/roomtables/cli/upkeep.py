@@ -12,7 +12,6 @@ from typing import Any
 import click
 
 from roomtables.cli.common import (
-    as_json,
     emit,
     format_option,
     labels_option,
@@ -20,6 +19,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.printing import as_json, echo
 from roomtables.errors import StoreError
 from roomtables.storage.removal import KEPT_VERSIONS
 from roomtables.storage.spaces import find_space
@@ -194,7 +194,7 @@ def rollback(tables: Path, labels: str | None, format_: str) -> None:
     if format_ == "json":
         emit(as_json({"labels": now.manifest.labels, "version": now.name, "left": left.name}))
     else:
-        click.echo(f"published {now.name} of {now.path.parent}; {left.name} stays until `gc`")
+        echo(f"published {now.name} of {now.path.parent}; {left.name} stays until `gc`")
 
 
 @click.command()

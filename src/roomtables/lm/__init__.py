@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roomtables.errors import needing
+from roomtables.lm.address_space import check_address_space
 from roomtables.lm.folders import EMBEDDED_MODEL
 from roomtables.lm.identity import identify, identities
 
@@ -55,10 +56,12 @@ def load_scorer(
     Raises
     ------
     ModelError
-        The model cannot be found, read, or used to score sentences.
+        The model cannot be found, read, or used to score sentences; or torch does not fit into the
+        address space that `ulimit -v` leaves.
     MissingExtraError
         torch or transformers is not installed.
     """
+    check_address_space()
     with needing("loading a language model", "lm"):
         from roomtables.lm.loading import load
 

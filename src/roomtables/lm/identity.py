@@ -17,6 +17,7 @@ from typing import Any
 
 from roomtables.errors import ModelError, needing
 from roomtables.limits import JSON_BYTES, json_value, read_bytes
+from roomtables.lm.address_space import check_address_space
 from roomtables.lm.folders import EMBEDDED_MODEL, ModelFolder, resolve
 from roomtables.scorer import DTYPES, SCORING_RULE_VERSION, SCORINGS
 from roomtables.storage.files import sha256_of
@@ -129,6 +130,7 @@ def device_class(device: str) -> str:
         raise ModelError(f"unknown device {device!r}; use one of {', '.join(DEVICES)}")
     if device == "cpu":
         return "cpu"
+    check_address_space()
     with needing("a language model on this machine's own device"):
         import torch
 

@@ -44,6 +44,7 @@ from roomtables.onnx_lm.scorer import OnnxScorer
 from roomtables.scorer import TOLERANCE_NATS
 
 _OPSET = 18  # old enough for every runtime that the extra `robot` takes
+_INSTEAD = "leave --with-model out, and install `roomtables[lm]` on the robot"
 LARGEST_FILE = 2_000_000_000  # bytes: a protocol buffer ends at 2 GiB
 _SMALL_TENSOR = 1024  # numbers, below which storing halves saves nothing
 _PROBES = 2
@@ -62,7 +63,7 @@ def export(
     """See :func:`roomtables.lm.export_onnx`."""
     source = resolve(model, revision)
     if scoring_kind(source, scoring) != "causal":
-        raise ModelError(f"{model} is a masked language model; only causal ones run without torch")
+        raise ModelError(f"{model} is a masked language model, which needs torch; {_INSTEAD}")
     network = load_network(source, "causal", "float32", "cpu")
     _refuse_large(network, model)
     scorer = load(
@@ -87,9 +88,7 @@ def export(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / MODEL_FILE).write_bytes(content)
     (folder / TOKENIZER_FILE).write_bytes(tokenizer)
-    made = OnnxScorer.open(folder, probe=False)
-    _refuse_apart(made, sentences, expected)
-    return made
+    return _checked(folder, model, sentences, expected)
 
 
 def _refuse_large(network: nn.Module, model: str) -> None:
@@ -99,19 +98,33 @@ def _refuse_large(network: nn.Module, model: str) -> None:
     if size > LARGEST_FILE:
         raise ModelError(
             f"{model} is too large for an ONNX file ({size / 1e9:.1f} of at most "
-            f"{LARGEST_FILE / 1e9:.0f} GB); use a smaller --model on the robot"
+            f"{LARGEST_FILE / 1e9:.0f} GB); {_INSTEAD}"
         )
 
 
-def _refuse_apart(made: OnnxScorer, sentences: Sequence[str], expected: Sequence[float]) -> None:
-    found = [score.log_prob for score in made.score(sentences)]
+def _checked(
+    folder: Path, model: str, sentences: Sequence[str], expected: Sequence[float]
+) -> OnnxScorer:
+    """The scorer of the files in a folder, which gives sentences the scores expected (nats)."""
+    try:
+        made = OnnxScorer.open(folder, probe=False)
+        found = [score.log_prob for score in made.score(sentences)]
+    except ModelError as error:  # what converts need not be what the runtime runs
+        raise _unconverted(model, error) from error
     apart = np.abs(np.subtract(found, expected)).max(initial=0.0)
     if not apart <= TOLERANCE_NATS:
         raise ModelError(
-            f"{made.facts.model} in ONNX, which computes in float32, is {apart:.2g} nats from its "
-            f"scores with torch in {made.facts.dtype}, more than {TOLERANCE_NATS}; use a robot "
-            "with torch, or tables that were built with --dtype float32"
+            f"{model} in ONNX, which computes in float32, is {apart:.2g} nats from its scores with "
+            f"torch in {made.facts.dtype}, more than {TOLERANCE_NATS}; build the tables with "
+            f"--dtype float32, or {_INSTEAD}"
         )
+    return made
+
+
+def _unconverted(model: str, error: BaseException) -> ModelError:
+    return ModelError(
+        f"{model} does not convert to ONNX ({first_line(error.__cause__ or error)}); {_INSTEAD}"
+    )
 
 
 def _facts(name: str, scorer: SentenceScorer, tokenizer: bytes) -> OnnxFacts:
@@ -225,10 +238,7 @@ def _convert(network: nn.Module, graph: str, model: str) -> onnx.ModelProto:
                 verbose=False,
             )
     except Exception as error:  # whatever an architecture does that the exporter cannot follow
-        raise ModelError(
-            f"{model} does not convert to ONNX ({first_line(error.__cause__ or error)}); "
-            "use another --model on the robot"
-        ) from error
+        raise _unconverted(model, error) from error
     proto: onnx.ModelProto = cast(Any, program).model_proto
     return proto
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import duckdb
 
-from roomtables.schemas import literal
+from roomtables.schemas import parquet
+from roomtables.storage.database import connect
 from roomtables.storage.manifest import Manifest
 from roomtables.storage.versions import Version
 
@@ -21,7 +22,7 @@ _TOLERANCE = 1e-9
 _OBJECTS = """
 select source, object, any_value(entropy_nats) as entropy_nats,
     first(room order by p_room_given_object desc, room) as first_room
-from read_parquet({cooccurrence}) as c join read_parquet({entropy}) as e using (source, object)
+from {cooccurrence} as c join {entropy} as e using (source, object)
 group by source, object
 """
 _MOVED = """
@@ -39,7 +40,7 @@ order by before.first_room is not distinct from after.first_room,
 _ANSWERS = """
 select source, list_sort(objects) as objects, first(room order by score desc, room) as best_room
 from (
-    unpivot (from read_parquet({query_scores}))
+    unpivot (from {query_scores})
     on columns(* exclude (source, key, objects)) into name room value score
 )
 group by source, key, objects
@@ -94,7 +95,7 @@ def compare(before: Version, after: Version) -> Diff:
     versions = {"before": before, "after": after}
     objects = {when: _from_files(_OBJECTS, version) for when, version in versions.items()}
     answers = {when: _from_files(_ANSWERS, version) for when, version in versions.items()}
-    with duckdb.connect() as connection:
+    with connect() as connection:
         return Diff(
             after.manifest.labels,
             before.name,
@@ -118,7 +119,7 @@ def _changed_settings(before: Manifest, after: Manifest) -> dict[str, tuple[Any,
 def _from_files(query: str, version: Version) -> str:
     """A query over the tables of a version."""
     names = ("cooccurrence", "entropy", "query_scores")
-    return query.format(**{name: literal(version.path / f"{name}.parquet") for name in names})
+    return query.format(**{name: parquet(version.path / f"{name}.parquet") for name in names})
 
 
 def _rows(connection: duckdb.DuckDBPyConnection, query: str) -> list[dict[str, Any]]:

@@ -16,6 +16,7 @@ from roomtables.config import NONE, BuildConfig, load_labels
 from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, normalise
+from roomtables.limits import FLOAT32_MAX, LARGEST_COUNT
 from roomtables.offline.combinations import Asked, check_key_size, resolve
 from roomtables.rooms import read_room_lines
 from roomtables.scorer import Scorer
@@ -208,7 +209,12 @@ def read_scores(path: Path, labels: LabelSpace, reduction: str) -> PairValues:
     elif {"mean_log_prob", "token_count"} <= set(first):
         counts = dict(_pairs(path, labels, "token_count", _count))
         means = dict(_pairs(path, labels, "mean_log_prob", _finite))
-        values = {pair: mean * counts[pair] for pair, mean in means.items()}
+        values = {
+            pair: _finite(
+                str(mean * counts[pair]), "mean_log_prob × token_count", f"{path}, {pair}"
+            )
+            for pair, mean in means.items()
+        }
     else:
         raise InputError(
             f"{path}: missing column `log_prob`, or `mean_log_prob` with `token_count`, or no row"
@@ -268,13 +274,19 @@ def _finite(text: str, column: str, where: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: `{column}` must be a finite number, not {text!r}")
+    if not abs(value) <= FLOAT32_MAX:
+        raise InputError(
+            f"{where}: `{column}` must be a finite number within ±{FLOAT32_MAX:.2g}, "
+            f"not {text[:40]!r}"
+        )
     return value
 
 
 def _count(text: str, column: str, where: str) -> float:
     value = _finite(text, column, where)
-    if value < 0:
-        raise InputError(f"{where}: `{column}` must be 0 or more, not {text!r}")
+    if not 0 <= value <= LARGEST_COUNT:
+        raise InputError(
+            f"{where}: `{column}` must be 0 or more and at most {LARGEST_COUNT:.0f}, "
+            f"not {text[:40]!r}"
+        )
     return value

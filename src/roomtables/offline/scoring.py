@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
+from roomtables.limits import FLOAT32_MAX
 from roomtables.offline.inputs import LazyScorer
 from roomtables.offline.workspace import Workspace, WorkTable
 from roomtables.scorer import Scorer, SentenceScore
@@ -148,7 +148,7 @@ def scored(
     watched = _Watched(sentences, total)
     for score in scorer.score_stream(watched):
         sentence = watched.waiting.popleft()
-        if not math.isfinite(score.log_prob):
+        if not abs(score.log_prob) <= FLOAT32_MAX:  # nor is NaN
             raise ModelError(
                 f"{scorer.scorer_id} gives {score.log_prob} for {sentence!r}; "
                 "use another `--dtype` or `--model`"

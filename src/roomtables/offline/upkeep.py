@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from roomtables.errors import StoreError, needing
-from roomtables.schemas import SCORES, literal
+from roomtables.schemas import SCORES
 from roomtables.storage.aside import REMOVING, remove_folder
-from roomtables.storage.files import build_lock, is_held, refuse_outside, writing
+from roomtables.storage.files import build_lock, is_held, listed, refuse_outside, writing
 from roomtables.storage.removal import KEPT_VERSIONS, remove_left, remove_old, size_of
 from roomtables.storage.versions import CURRENT, STAGING, SpaceFolder, Version
 
@@ -91,9 +91,7 @@ def compact(tables: Path) -> list[Compacted]:
         There is no such folder, another process builds in it, or a part is damaged.
     """
     with needing("merging score parts"):
-        import duckdb
-
-        from roomtables.offline.workspace import speaking_plainly
+        from roomtables.storage.database import connect, speaking_plainly
 
     _require(tables)
     done = []
@@ -102,8 +100,10 @@ def compact(tables: Path) -> list[Compacted]:
             _end_killed(cache)
             cache.verify()
             bytes_before = size_of(cache.folder)
-            with speaking_plainly(cache.folder), duckdb.connect() as connection:
-                connection.execute(f"set temp_directory = {literal(cache.folder / _SPILL)}")
+            with (
+                speaking_plainly(cache.folder),
+                connect(spill=cache.folder / _SPILL) as connection,
+            ):
                 before, after = cache.compact(connection)
             shutil.rmtree(cache.folder / _SPILL, ignore_errors=True)
             done.append(
@@ -145,7 +145,7 @@ def _spaces(tables: Path) -> Iterator[SpaceFolder]:
 
 
 def _caches(tables: Path) -> list[SentenceCache]:
-    folders = sorted(path for path in (tables / SCORES).glob("[!.]*") if path.is_dir())
+    folders = [path for path in listed(tables / SCORES) if path.is_dir() and path.name[0] != "."]
     refuse_outside(tables, tables / SCORES, *folders)
     if not folders:  # as on a robot, which has no pyarrow either
         return []

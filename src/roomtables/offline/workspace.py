@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import duckdb
 import pyarrow as pa
 
-from roomtables.errors import StoreError, first_line
 from roomtables.schemas import Column, identifier, literal
-from roomtables.storage.files import writing
+from roomtables.storage.database import connect, speaking_plainly
 
-# Of a large machine; half the memory of a small one. docs/scale.md has what it is enough for.
-_MEMORY_BYTES = 4 << 30
 # Databases: of the tables that were made, and, in memory, of what one SELECT may see of them.
 _MADE, _HANDED = "work", "handed"
-# What DuckDB says, in a RuntimeError, where a signal meets it in a query.
-_INTERRUPTED = "Query interrupted"
 _ARROW_TYPES = {
     "varchar": pa.string(),
     "varchar[]": pa.list_(pa.string()),
@@ -50,11 +43,7 @@ class Workspace:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self.connection = duckdb.connect(str(folder / f"{_MADE}.duckdb"))
-        # Nobody opens the file again, so it need not be put in order.
-        self.connection.execute("pragma disable_checkpoint_on_shutdown")
-        self.connection.execute(f"set temp_directory = {literal(folder / 'spill')}")
-        self.connection.execute(f"set memory_limit = '{_memory_limit() >> 20} MiB'")
+        self.connection = connect(folder / f"{_MADE}.duckdb", folder / "spill")
 
     def table(self, name: str, query: str, parameters: Sequence[object] = ()) -> WorkTable:
         """Make or replace a table from a SELECT."""
@@ -137,36 +126,3 @@ def workspace(folder: Path) -> Iterator[Workspace]:
             yield opened
         finally:
             opened.close()
-
-
-@contextmanager
-def speaking_plainly(folder: Path) -> Iterator[None]:
-    """Turn what DuckDB and the file system say into this package's words.
-
-    Raises
-    ------
-    StoreError
-        The disk is full, or a file cannot be written or read.
-    KeyboardInterrupt
-        A query was interrupted.
-    """
-    try:
-        with writing(folder):
-            yield
-    except duckdb.InterruptException as error:
-        raise KeyboardInterrupt from error
-    except RuntimeError as error:
-        if str(error) != _INTERRUPTED:
-            raise
-        raise KeyboardInterrupt from error
-    except (duckdb.IOException, duckdb.OutOfMemoryException, duckdb.FatalException) as error:
-        raise StoreError(
-            f"cannot build in {folder}: {first_line(error)}; free some space or memory, then run "
-            "`roomtables build` again: what is scored is kept"
-        ) from error
-
-
-def _memory_limit() -> int:
-    """Bytes that DuckDB may use before it spills to disk."""
-    physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return min(_MEMORY_BYTES, physical // 2)

@@ -126,6 +126,10 @@ class RoomTables:
         """The rooms that may be the answer, sorted by label."""
         return self._decider.candidates.rooms
 
+    def load_model(self) -> bool:
+        """Load the language model, if one may be asked; whether there is one."""
+        return self._model.load() is not None
+
     def classify(self, objects: Iterable[str]) -> Prediction:
         """Label one room from the names of the objects in it, in any order.
 

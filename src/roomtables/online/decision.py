@@ -30,7 +30,7 @@ class Decision:
     source : whose co-occurrence ranks the objects: ``proxy`` or ``ground_truth``
     prior_weight : λ, how much of the model's bias towards rooms is taken away
     evidence_power : γ, how steeply informative objects count for more under rule ``pooled``
-    rooms : names of the candidate rooms; none: all predicted rooms
+    rooms : names of the candidate rooms, or the name of one; none: all predicted rooms
     temperature : divides what the rule compares before it becomes probabilities; ``auto`` is the
         sum of the objects' weights under rule ``pooled``, and 1 under the others
     min_probability : a room whose answer is less probable gets none
@@ -60,7 +60,10 @@ class Decision:
             raise ConfigError(f"temperature must be above 0 or `auto`, not {self.temperature}")
         if not 0 <= self.min_probability <= 1:
             raise ConfigError(f"min probability must be from 0 to 1, not {self.min_probability}")
-        object.__setattr__(self, "rooms", tuple(self.rooms))
+        rooms = (self.rooms,) if isinstance(self.rooms, str) else tuple(self.rooms)
+        if not all(isinstance(name, str) for name in rooms):
+            raise ConfigError(f"rooms must be names, not {rooms!r}"[:200])
+        object.__setattr__(self, "rooms", rooms)
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,7 @@ def _ask_about_rooms(
     """S(o, r) for candidates of which some are in no table, ``[objects, candidates]``."""
     unlisted = [room.label for room in rooms if room not in lookup.rooms]
     unpredicted = [room.label for room in rooms if not room.predicted]
-    if unpredicted and not unlisted:
+    if unpredicted:
         raise InputError(
             f"room {unpredicted[0]!r} is never predicted in label space "
             f"{model.labels}; leave it out of `--rooms`"

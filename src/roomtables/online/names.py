@@ -32,9 +32,7 @@ class Vocabulary(dict[str, int]):
         self._ranks = ranks
         self._full = len(self) + _REMEMBERED
 
-    def __missing__(self, name: object) -> int:
-        if not isinstance(name, str):
-            raise InputError(f"objects must be strings, not {name!r}; give the names of objects")
+    def __missing__(self, name: str) -> int:
         found = self._reader.read(name)
         rank = UNLISTED if found is None else self._ranks[found.label]
         if len(self) < self._full and len(name) <= _LONGEST:
@@ -56,8 +54,16 @@ def as_names(objects: Iterable[str]) -> tuple[str, ...]:
     Raises
     ------
     InputError
-        They are one string: a list of names is missing its brackets.
+        They are one string (a list of names is missing its brackets), or not all are strings.
     """
     if isinstance(objects, str):
         raise InputError(f"objects must be a list of names, not {objects!r}; give [{objects!r}]")
-    return tuple(objects)
+    try:
+        names = tuple(objects)
+        "".join(names)  # the quickest way to see that all are strings
+    except TypeError as error:
+        wrong = repr(objects)[:200]
+        raise InputError(f"objects must be strings, not {wrong}; give the names of objects") from (
+            error
+        )
+    return names

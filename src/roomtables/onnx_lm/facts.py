@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from roomtables.limits import MalformedError, json_value
 from roomtables.scorer import SCORING_RULE_VERSION
 
 MODEL_FILE, TOKENIZER_FILE = "model.onnx", "tokenizer.json"
@@ -83,13 +84,13 @@ class OnnxFacts:
             They are missing, of another format, or of another version of what is scored.
         """
         try:
-            value = json.loads(metadata[METADATA_KEY])
+            value = json_value(metadata[METADATA_KEY])
             if value.pop("format") != _FORMAT:
                 raise FactsError("another version of roomtables wrote it")
             facts = cls(**{name: _frozen(item) for name, item in value.items()})
         except KeyError as error:
             raise FactsError("roomtables did not write it") from error
-        except (AttributeError, TypeError, json.JSONDecodeError, RecursionError) as error:
+        except (AttributeError, TypeError, MalformedError) as error:
             raise FactsError("its metadata are damaged") from error
         facts._check()
         return facts
@@ -111,6 +112,8 @@ class OnnxFacts:
                 raise FactsError(f"its metadata are damaged (`{field.name}`)")
         if self.graph not in INPUTS or not self.scorer_ids:
             raise FactsError("its metadata are damaged (`graph`, `scorer_ids`)")
+        if min(self.row_nodes, self.vocabulary) < 1 or len(self.probe) != len(self.probe_nats):
+            raise FactsError("its metadata are damaged (`row_nodes`, `vocabulary`, `probe`)")
         if self.scoring_rule != SCORING_RULE_VERSION:
             raise FactsError(
                 f"it scores by rule {self.scoring_rule[:20]}, this roomtables by rule "

@@ -16,6 +16,7 @@ from typing import Any
 
 from roomtables.errors import InputError, needing
 from roomtables.labels import normalise
+from roomtables.report.text import drawn
 from roomtables.scenes.scene import Box, Point, Scene, SceneRoom
 from roomtables.storage.files import write_aside
 
@@ -59,7 +60,8 @@ def draw(scene: Scene, answers: Answers, output: Path) -> int:
     kind = output.suffix.lower().lstrip(".")
     picture = _picture(scene, rooms, boxes, answers, "png" if kind == "png" else "svg")
     if kind == "html":
-        picture = _page(scene.name, list(rooms.values()), answers, picture.decode()).encode()
+        page = _page(scene.name, list(rooms.values()), answers, picture.decode())
+        picture = page.encode(errors="replace")
     write_aside(output, picture)
     return len(boxes)
 
@@ -140,7 +142,7 @@ def _picture(
             panel.set_xlabel("x [m]")
             panel.set_ylabel("y [m]")
             panel.autoscale_view()
-        figure.suptitle(scene.name)
+        figure.suptitle(drawn(scene.name))
         metadata = {"Date": None} if kind == "svg" else {"Software": None}
         figure.savefig(buffer, format=kind, dpi=120, metadata=metadata)
     return buffer.getvalue()
@@ -153,13 +155,15 @@ def _draw_room(panel: Any, room: SceneRoom, box: Box, answers: Answers, named: b
     (x, y, _), (right, top, _) = box.low, box.high
     panel.add_patch(Rectangle((x, y), right - x, top - y, fill=True, alpha=0.12, facecolor=colour))
     panel.add_patch(Rectangle((x, y), right - x, top - y, fill=False, edgecolor=colour, lw=1.5))
-    panel.text(x + 0.05, top - 0.05, _caption(room, answers), color=colour, va="top", fontsize=9)
+    panel.text(
+        x + 0.05, top - 0.05, drawn(_caption(room, answers)), color=colour, va="top", fontsize=9
+    )
     for thing in room.objects:
         if thing.position is not None:
             panel.plot(thing.position[0], thing.position[1], ".", color="#555555", markersize=4)
             if named:
                 panel.annotate(
-                    thing.name,
+                    drawn(thing.name),
                     thing.position[:2],
                     textcoords="offset points",
                     xytext=(3, 2),

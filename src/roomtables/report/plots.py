@@ -16,6 +16,7 @@ import numpy as np
 from roomtables.errors import InputError, needing
 from roomtables.evaluation import Evaluation
 from roomtables.evaluation.comparison import Sweep, SweepPoint
+from roomtables.report.text import drawn
 from roomtables.schemas import POOLED, PROXY
 from roomtables.storage.files import write_aside
 
@@ -57,7 +58,7 @@ def rendered(figure: Any, format_: str) -> bytes:
 
 def per_room_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()) -> Any:
     """The paper's bar chart: accuracy by true room label, one bar per condition."""
-    names = names or [found.condition for found in evaluations]
+    names = [drawn(name) for name in names or [found.condition for found in evaluations]]
     tables = [found.per_room() for found in evaluations]
     rooms = sorted({room for table in tables for room in table})
     figure = _figure(max(6.0, 0.34 * len(rooms) * max(1.0, len(names) / 2.5) + 1.5), 4.2)
@@ -70,7 +71,7 @@ def per_room_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()
         axes.bar(at, heights, width, label=label, color=_COLOURS[number % len(_COLOURS)])
     counts = {room: row["rooms"] for table in tables for room, row in table.items()}
     axes.set_xticks(
-        np.arange(len(rooms)), [f"{room} ({counts[room]})" for room in rooms], rotation=60,
+        np.arange(len(rooms)), [drawn(f"{room} ({counts[room]})") for room in rooms], rotation=60,
         ha="right", rotation_mode="anchor",
     )  # fmt: skip
     axes.set(ylabel="accuracy (%)", ylim=(0, 100), xlim=(-0.6, len(rooms) - 0.4))
@@ -82,7 +83,7 @@ def per_room_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()
 
 def calibration_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()) -> Any:
     """Left the reliability diagram, right the share wrong against the share answered."""
-    names = names or [found.condition for found in evaluations]
+    names = [drawn(name) for name in names or [found.condition for found in evaluations]]
     figure = _figure(9.0, 4.2)
     left, right = figure.subplots(1, 2)
     left.plot([0, 1], [0, 1], color="0.6", linestyle=":", label="calibrated")

@@ -7,6 +7,7 @@ names rooms in the graph's JSON and changes nothing else there.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,10 +26,14 @@ from roomtables.scenes.scene import (
 )
 from roomtables.scenes.scene_file import SceneFile
 
+# Where the name of a room comes from, see `name_origin`.
+HYDRA, OURS, OTHER = "hydra", "roomtables", "other"
 # Values of ``semantic_label`` that say nothing: −1, also where it is stored without a sign.
 _UNSET = frozenset({-1, 2**32 - 1})
 # What Hydra's room finder writes for every room: today, and in older files.
 _UNLABELLED_ROOM = frozenset({0, 21})
+# What Hydra calls a room that has no name, by its id: today, and in older files.
+_HYDRAS_NAME = re.compile(r"|R\d+|R\(\d+\)")
 _NO_NAME = frozenset({"", "unknown", "unlabeled", "unlabelled", "void", "none", "unset"})
 
 
@@ -188,27 +193,61 @@ class NamedRoom:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
-def label_rooms(graph: Graph, named: Mapping[str, NamedRoom], labels: Iterable[str]) -> None:
-    """Write names into ``graph.document``; rooms without an answer keep what they have.
+def label_rooms(
+    graph: Graph,
+    named: Mapping[str, NamedRoom],
+    labels: Iterable[str],
+    *,
+    keep_names: bool = False,
+) -> int:
+    """Write names into ``graph.document``; how many rooms were named.
 
     ``named`` goes by the rooms' symbols (``R0``); ``labels`` are all the rooms that could have been
-    the answer.
+    the answer. A room without an answer whose name is from roomtables gets back the name that
+    stands for its id; any other keeps what it has. ``keep_names`` leaves rooms alone that bear a
+    name which neither stands for their id nor is from roomtables.
     """
-    if not named:
-        return
+    origins = {key: _name_origin(graph, key) for key in graph.rooms}
+    kept = {symbol(key) for key in graph.rooms if keep_names and origins[key] == OTHER}
+    named = {key: room for key, room in named.items() if key not in kept}
     space = f"_l{graph.room_layer}p0"
     known = graph.label_spaces.get(space, {})
     ids, pairs = room_label_space(known, {room.label for room in named.values()}, labels)
-    if len(pairs) > len(known):
+    if named and len(pairs) > len(known):
         _child(_child(graph.document, "metadata"), "labelspaces")[space] = pairs
     for key in graph.rooms:
-        room = named.get(symbol(key))
+        room, attributes = named.get(symbol(key)), graph.attributes(key)
         if room is not None:
-            attributes = graph.attributes(key)
             attributes["name"] = room.label
             attributes["semantic_label"] = ids[room.label]
             attributes["semantic_class_probabilities"] = dict(room.probabilities)
             _child(attributes, "metadata")["roomtables"] = dict(room.provenance)
+        elif origins[key] == OURS:
+            attributes["name"] = symbol(key)
+            attributes["semantic_label"] = unknown_room(known)
+            attributes["semantic_class_probabilities"] = {}
+            del attributes["metadata"]["roomtables"]
+    return sum(symbol(key) in named for key in graph.rooms)
+
+
+def _name_origin(graph: Graph, room: int) -> str:
+    attributes = graph.attributes(room)
+    return name_origin(attributes.get("name"), _provenance(attributes))
+
+
+def name_origin(name: object, provenance: Mapping[str, Any]) -> str:
+    """Where a room's name comes from: its id (``HYDRA``), roomtables (``OURS``), or ``OTHER``.
+
+    ``provenance`` is what roomtables noted when it named the room, if it did.
+    """
+    if not isinstance(name, str) or _HYDRAS_NAME.fullmatch(name):
+        return HYDRA
+    return OURS if provenance.get("label") == name else OTHER
+
+
+def unknown_room(names: Mapping[int, str]) -> int:
+    """The ``semantic_label`` of a room without a name, in a room label space."""
+    return next((key for key, name in names.items() if name.lower() in _NO_NAME), 2**32 - 1)
 
 
 def room_label_space(

@@ -59,5 +59,5 @@ def _annotation(row: list[str], where: str) -> tuple[int, SceneObject]:
     try:
         return int(row[-1]), SceneObject(str(int(row[0])), category)
     except ValueError as error:
-        wrong = f"`{row[0]}`, `{row[-1]}`"
+        wrong = f"`{row[0][:40]}`, `{row[-1][:40]}`"
         raise InputError(f"{where}: id and region must be integers, not {wrong}") from error

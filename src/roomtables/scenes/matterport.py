@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TextIO
 
-from roomtables.errors import InputError
+from roomtables.errors import InputError, first_line
 from roomtables.scenes.matterport_labels import ROOM_NAMES, UNNAMED, Category, object_namer
 from roomtables.scenes.scene import (
     Box,
@@ -83,7 +83,8 @@ def parse_house(lines: Iterable[str], source: str) -> House:
             try:
                 _LINES[line[0]](house, line.split(), where)
             except (ValueError, IndexError) as error:
-                raise InputError(f"{where}: malformed {line[0]} line ({error})") from error
+                why = first_line(error)
+                raise InputError(f"{where}: malformed {line[0]} line ({why})") from error
             if line[0] == "O":
                 places.append(where)
     _check_references(house, places)

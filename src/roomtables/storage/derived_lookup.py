@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from roomtables.labels import LabelSpace
-from roomtables.schemas import PROXY, literal
+from roomtables.schemas import PROXY, parquet
+from roomtables.storage.database import connect
 from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup
 from roomtables.storage.versions import LOOKUP
 
@@ -31,7 +32,7 @@ def derive_lookup(version: Path, labels: LabelSpace, settings: LookupSettings) -
     """
     rooms = [room.label for room in labels.predicted_rooms]
     scores = version / "query_scores.parquet"
-    with duckdb.connect() as connection:
+    with connect() as connection:
         small = _SmallTables(connection, version)
         sources = {
             source: (small.arrays(source, labels), read_scores(scores, source, rooms))
@@ -92,10 +93,9 @@ class _SmallTables:
         self, expression: str, table: str, order: str, source: str | None = None
     ) -> NDArray[Any]:
         """An expression over the rows of a source (of all: ``None``), in some order."""
-        path = literal(self._version / f"{table}.parquet")
+        file = parquet(self._version / f"{table}.parquet")
         found = self._connection.execute(
-            f"select {expression} from read_parquet({path}) "
-            f"where source = coalesce(?, source) order by {order}",
+            f"select {expression} from {file} where source = coalesce(?, source) order by {order}",
             [source],
         )
         (values,) = found.fetchnumpy().values()

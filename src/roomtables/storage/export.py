@@ -18,10 +18,11 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from roomtables.errors import InputError, StoreError, needing
+from roomtables.errors import InputError, needing
 from roomtables.storage.aside import replacing
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts
+from roomtables.storage.refusals import refusal
 from roomtables.storage.scratch import scratch
 from roomtables.storage.versions import (
     CURRENT,
@@ -81,9 +82,7 @@ def export(
             aside = stack.enter_context(replacing(output))
             _pack(stack.enter_context(_compressed(aside, output.name)), version, model)
     except OSError as error:
-        raise StoreError(
-            f"cannot write {output}: {error.strerror or error}; give another path with -o"
-        ) from error
+        raise refusal(error, output) or error from error
     return tuple(
         ExportedSource(source, len(arrays.keys), arrays.scores.shape[1], _bytes(version, source))
         for source, arrays in lookup.sources.items()

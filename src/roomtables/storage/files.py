@@ -6,7 +6,6 @@ opens its files one by one. The system frees a lock when its process dies, so no
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import hashlib
 import logging
@@ -20,13 +19,7 @@ from typing import BinaryIO
 
 from roomtables.errors import StoreError
 from roomtables.storage.aside import replacing
-
-_ADVICE = {
-    errno.ENOSPC: "free some space, then run the command again: what is scored is kept",
-    errno.EDQUOT: "free some space, then run the command again: what is scored is kept",
-    errno.EFBIG: "allow bigger files (`ulimit -f`), then run the command again",
-}
-
+from roomtables.storage.refusals import refusal
 
 _CHUNK = 1 << 20  # bytes that are hashed at once
 
@@ -43,9 +36,7 @@ def writing(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = error.filename or folder
-        advice = _ADVICE.get(error.errno or 0, "see that the folder is writable, or use `--tables`")
-        raise StoreError(f"cannot write {where}: {error.strerror or error}; {advice}") from error
+        raise refusal(error, folder) or error from error
 
 
 def write_aside(path: Path, data: bytes) -> None:
@@ -60,7 +51,7 @@ def write_aside(path: Path, data: bytes) -> None:
         with replacing(path) as aside:
             aside.write_bytes(data)
     except OSError as error:
-        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+        raise refusal(error, path) or error from error
 
 
 def sha256_of(file: BinaryIO) -> str:
@@ -98,6 +89,22 @@ def refuse_links(*paths: Path) -> None:
     for path in paths:
         if path.is_symlink():
             raise StoreError(f"{path} is a symbolic link; replace it by a copy, then try again")
+
+
+def listed(folder: Path) -> list[Path]:
+    """What is in a folder, sorted; nothing where there is none.
+
+    Raises
+    ------
+    StoreError
+        It may not be read. (To ``Path.glob`` such a folder is empty.)
+    """
+    try:
+        return sorted(folder.iterdir())
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise refusal(error, folder, "read") or error from error
 
 
 def check_name(path: Path) -> None:
@@ -140,9 +147,7 @@ def build_lock(tables: Path, wait: bool = False) -> Iterator[None]:
         refuse_outside(tables, path)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
-        raise StoreError(
-            f"cannot write to {tables}: {error.strerror}; choose another with `--tables DIR`"
-        ) from error
+        raise refusal(error, tables) or error from error
     try:
         _acquire(descriptor, tables, wait)
         _note(

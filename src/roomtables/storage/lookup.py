@@ -51,6 +51,7 @@ ARRAYS: Mapping[str, tuple[str, int]] = {
 
 _SMALL = 1 << 20  # bytes of a file that is read and hashed whole on every open
 _PAGE = 4096
+_LONGEST_NAME = 255  # of a file
 _SAMPLED_PAGES = 32
 _BEYOND_MEMORY = 1 << 30  # bytes of a file for which the system shall not read ahead
 
@@ -210,7 +211,10 @@ def _open_source(
 
 
 def _open_array(folder: Path, listed: Mapping[str, Any], name: str, verify: bool) -> NDArray[Any]:
-    path = folder / listed["file"]
+    file_name: str = listed["file"]
+    if Path(file_name).name != file_name or len(file_name) > _LONGEST_NAME:
+        raise ValueError(f"{file_name[:40]!r} is no file of its own")
+    path = folder / file_name
     size: int = listed["bytes"]
     array: NDArray[Any] | None = None
     with path.open("rb") as file:

@@ -16,7 +16,7 @@ from pathlib import Path
 import duckdb
 import pyarrow as pa
 
-from roomtables.schemas import SCORES, literal
+from roomtables.schemas import SCORES, literal, parquet
 from roomtables.scorer import SentenceScore
 from roomtables.storage.files import is_held, refuse_outside, writing
 from roomtables.storage.score_parts import (
@@ -200,5 +200,4 @@ def select_parts(parts: Sequence[Part]) -> str:
     """A SELECT of the rows of some parts."""
     if not parts:
         return NO_SCORES
-    files = ", ".join(literal(part.path) for part in parts)
-    return f"select * from read_parquet([{files}])"
+    return f"select * from {parquet(*(part.path for part in parts))}"

@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ import pyarrow.parquet as pq
 from roomtables.errors import StoreError
 from roomtables.limits import json_value
 from roomtables.storage.aside import sync_folder
-from roomtables.storage.files import refuse_outside, sha256_of, writing
+from roomtables.storage.files import listed, refuse_outside, sha256_of, writing
+from roomtables.storage.refusals import refusal
 
 PART_SCHEMA = pa.schema(
     [
@@ -65,7 +67,8 @@ class Part:
             It is not a readable Parquet file of sentence scores.
         """
         try:
-            found = pq.read_metadata(path)
+            with path.open("rb") as file:  # pyarrow says too little of what cannot be opened
+                found = pq.read_metadata(file)
             footer = json_value((found.metadata or {}).get(FOOTER_KEY.encode(), b"{}"))
             columns = [(c.name, c.type) for c in found.schema.to_arrow_schema()]
             replaces = frozenset(map(str, footer.get("replaces", ())))
@@ -77,6 +80,8 @@ class Part:
                 bool(footer.get("lossy")),
             )
         except (pa.ArrowException, OSError, ValueError, AttributeError, TypeError) as error:
+            if isinstance(error, MemoryError) or getattr(error, "errno", None):
+                raise refusal(error, path, "read") or error from error
             raise StoreError(f"{path} is damaged; {_RECOVERY}") from error
         if columns != [(c.name, c.type) for c in PART_SCHEMA]:
             raise StoreError(f"{path} has other columns than sentence_scores; {_RECOVERY}")
@@ -94,7 +99,7 @@ class Part:
             with self.path.open("rb") as file:
                 found = part_name(sha256_of(file))
         except OSError as error:
-            raise StoreError(f"cannot read {self.path}: {error.strerror}; {_RECOVERY}") from error
+            raise refusal(error, self.path, "read") or error from error
         if found != self.name:
             raise StoreError(f"{self.path} is damaged (its content hashes to {found}); {_RECOVERY}")
 
@@ -112,7 +117,7 @@ def all_parts(folder: Path) -> list[Part]:
     StoreError
         A part is not readable, or is a symbolic link out of the tables folder.
     """
-    paths = sorted(folder.glob("part-*.parquet"))
+    paths = [path for path in listed(folder) if fnmatch(path.name, "part-*.parquet")]
     refuse_outside(folder.parent.parent, folder, *paths)
     return [Part.read(path) for path in paths]
 

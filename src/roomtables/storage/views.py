@@ -13,8 +13,10 @@ from typing import Any
 
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError, needing
-from roomtables.schemas import SCORES, TABLE_BY_NAME, VERSION_TABLES, literal
+from roomtables.schemas import SCORES, TABLE_BY_NAME, VERSION_TABLES, literal, parquet, plain_path
+from roomtables.storage.files import listed
 from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.refusals import refusal
 from roomtables.storage.versions import Version
 
 
@@ -28,15 +30,12 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
     with needing("SQL"):
         import duckdb
 
-    connection = duckdb.connect(str(database))
+    from roomtables.storage.database import within_memory
+
+    connection = duckdb.connect(str(database), config=within_memory())
     for name in VERSION_TABLES:
         path = version.path.resolve() / f"{name}.parquet"
-        _view(
-            connection,
-            name,
-            f"select * from read_parquet({literal(path)})",
-            TABLE_BY_NAME[name].grain,
-        )
+        _view(connection, name, f"from {parquet(path)}", TABLE_BY_NAME[name].grain)
     _sentence_scores(connection, tables)
     _misses(connection, version)
     _decision(connection, version)
@@ -46,7 +45,9 @@ def connect(tables: Path, version: Version, database: Path | str = ":memory:") -
             connection.execute(text)
         else:
             _view(connection, path.stem, text, _described(text))
-    connection.execute(f"set allowed_directories = [{literal(tables.resolve())}]")
+    folder = tables.resolve()  # DuckDB asks for it as the pattern, then as the file that it found
+    allowed = ", ".join(map(literal, {str(folder), plain_path(folder)}))
+    connection.execute(f"set allowed_directories = [{allowed}]")
     connection.execute("set enable_external_access = false")
     connection.execute("set lock_configuration = true")
     return connection
@@ -108,12 +109,12 @@ def _decision(connection: Any, version: Version) -> None:
 def _sentence_scores(connection: Any, tables: Path) -> None:
     from roomtables.storage.score_parts import all_parts, live_parts  # brings pyarrow
 
-    folders = sorted(path for path in (tables / SCORES).glob("*") if path.is_dir())
+    folders = [path for path in listed(tables / SCORES) if path.is_dir()]
     parts = [part.path for folder in folders for part in live_parts(all_parts(folder))]
     table = TABLE_BY_NAME["sentence_scores"]
     empty = ", ".join(f"null::{c.type} as {c.name}" for c in table.columns)
-    files = ", ".join(literal(part.resolve()) for part in parts)
-    held = f"select * from read_parquet([{files}])" if parts else f"select {empty} where false"
+    files = [part.resolve() for part in parts]
+    held = f"from {parquet(*files)}" if files else f"select {empty} where false"
     _view(connection, table.name, held, table.grain)
 
 
@@ -138,6 +139,8 @@ def select(connection: Any, query: str) -> tuple[list[str], list[tuple[Any, ...]
     ------
     InputError
         The query is wrong, is more than one statement, or would write.
+    StoreError
+        Memory runs out, or a table cannot be read.
     """
     import duckdb
 
@@ -148,5 +151,8 @@ def select(connection: Any, query: str) -> tuple[list[str], list[tuple[Any, ...]
         result = connection.execute(query)
         return [column[0] for column in result.description], result.fetchall()
     except duckdb.Error as error:
+        refused = refusal(error, doing="read")
+        if refused is not None:
+            raise refused from error
         text = " ".join(str(error).split())
         raise InputError(f'SQL: {text}; `roomtables sql "show tables"` lists the tables') from error

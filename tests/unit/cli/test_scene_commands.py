@@ -12,10 +12,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from roomtables.cli import main
-from scene_builders import House, box, graph, node
+from scene_builders import House, box, graph, node, node_id
 from tiny_tables import build_tables
 
-LABELS = {1: "Bed", 2: "lamp", 3: "stove", 4: "fridge", 5: "wall"}
+LABELS = {1: "Bed", 2: "lamp", 3: "stove", 4: "fridge", 5: "gizmo"}
 
 
 def run(*arguments: object) -> Result:
@@ -66,13 +66,13 @@ def test_rooms_prints_room_lines_and_reports_loose_objects(scene: Path) -> None:
     result = run("rooms", scene)
     assert lines(result) == [
         {"room_id": "R0", "room": "bedroom", "objects": ["Bed", "lamp"]},
-        {"room_id": "R1", "room": "office", "objects": ["stove", "fridge", "wall"]},
+        {"room_id": "R1", "room": "office", "objects": ["stove", "fridge", "gizmo"]},
         {"room_id": "R2", "objects": []},
     ]
     warning, unknown = result.stderr.splitlines()
     assert warning == "warning: scene: 1 of 6 objects lies in no room: O5 (lamp)"
     assert unknown.startswith("unknown to label space ")
-    assert '"wall"' in unknown
+    assert '"gizmo"' in unknown
 
 
 def test_rooms_of_several_scenes_keep_ids_apart(scene: Path, house: Path) -> None:
@@ -146,8 +146,31 @@ def test_label_names_rooms_and_says_how_many(scene: Path, tables: Path, tmp_path
     assert found["model"] == "fit-scorer"
     assert found["label"] == "bedroom"
     assert {"version", "probability", "objects", "source", "answered_by"} <= found.keys()
+    assert found["read_as"] == {"Bed": "bed"}
+    assert rooms[1]["metadata"]["roomtables"]["read_as"] == {"stove": "oven"}
+    assert rooms[1]["metadata"]["roomtables"]["unknown_objects"] == ["wall"]
+    assert 'unknown to label space flat: "wall"\n' in result.stderr
     # What was labelled is not taken for the truth afterwards.
     assert all("room" not in room for room in lines(run("rooms", out)))
+
+
+def test_label_takes_its_own_names_back_and_keeps_those_of_others(
+    scene: Path, tables: Path, tmp_path: Path
+) -> None:
+    """The objects of R0 go, and a person names R1."""
+    options = ("--tables", tables, "--labels", "flat", "--offline")
+    labelled, again = tmp_path / "labelled.json", tmp_path / "again.json"
+    assert run("label", scene, "-o", labelled, *options).exit_code == 0
+    document = json.loads(labelled.read_text())
+    document["edges"] = [edge for edge in document["edges"] if edge["source"] != node_id("R0")]
+    document["nodes"][1]["attributes"]["name"] = "Mia's kitchen"
+    labelled.write_text(json.dumps(document))
+    for keep, second, count in (((), "kitchen", 1), (("--keep-names",), "Mia's kitchen", 0)):
+        result = run("label", labelled, "-o", again, *options, *keep)
+        assert f"{count} of 3 rooms named" in result.stderr
+        rooms = [value["attributes"] for value in json.loads(again.read_text())["nodes"][:3]]
+        assert [room["name"] for room in rooms] == ["R0", second, "R2"]
+        assert "roomtables" not in rooms[0]["metadata"]
 
 
 def test_label_leaves_the_original_alone_when_nothing_is_published(
@@ -225,9 +248,9 @@ def test_classify_takes_scenes(scene: Path, house: Path, tables: Path) -> None:
     options = ("--tables", tables, "--labels", "flat", "--offline", "--format", "jsonl")
     found = lines(run("classify", "--input", scene, *options))
     assert [room["room"] for room in found] == ["bedroom", "kitchen", None]
-    assert found[1]["unknown_objects"] == ["wall"]
+    assert found[1]["unknown_objects"] == ["gizmo"]
     told = run("classify", "--input", scene, *options).stderr.splitlines()
-    assert told[-2:] == ["read as: stove = oven", 'unknown to label space flat: "wall"']
+    assert told[-2:] == ["read as: stove = oven", 'unknown to label space flat: "gizmo"']
     assert [r["room"] for r in lines(run("classify", "--input", house, *options))] == ["bedroom"]
 
 

@@ -41,6 +41,7 @@ def test_counts_of_labelled_rooms(tmp_path):
         ("object,room,count\nbed,bedroom,nan\n", "line 2: `count` must be a finite number"),
         ("object,room,count\nbed,bedroom,many\n", "line 2: `count` must be a finite number"),
         ("object,room,count\nbed,bedroom,-1\n", "line 2: `count` must be 0 or more"),
+        ("object,room,count\nbed,bedroom,1e17\n", "line 2: `count` must be 0 or more and at most"),
         ("object,room,count\nbed,bedroom,1\nBED,bedroom,1\n", "line 3: .* twice"),
     ],
 )
@@ -80,6 +81,7 @@ def test_scores_and_their_reduction(tmp_path, header, row, reduction, score):
     [
         (scores_csv("mean_log_prob", "-1"), "missing column `log_prob`"),
         (scores_csv("log_prob", "-inf"), "line 2: `log_prob` must be a finite number"),
+        (scores_csv("log_prob", "-3.5e38"), "line 2: `log_prob` must be a finite number within"),
         ("object,room,log_prob\nbed,bedroom,-1\n", "no score for object 'bed' and room 'bathroom'"),
         ("object,room,log_prob\n", "missing column `log_prob`.*no row"),
     ],

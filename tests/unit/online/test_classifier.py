@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from functools import cache
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -181,6 +182,32 @@ def test_wrong_decisions_are_refused(built: dict[str, Path]) -> None:
         tables.deciding(rooms=("yard",))
     with pytest.raises(InputError, match="no table knows room 'crypt'"):
         tables.deciding(rooms=("crypt",))
+    with pytest.raises(InputError, match="'yard' is never predicted"):
+        tables.deciding(rooms=("yard", "crypt"))
+    with pytest.raises(ConfigError, match="rooms must be names"):
+        tables.deciding(rooms=(5,))
+
+
+def test_a_never_predicted_room_is_refused_beside_one_that_a_model_could_judge(
+    built: dict[str, Path],
+) -> None:
+    tables = RoomTables.open(built["all"], "flat", scorer=HashScorer())
+    with pytest.raises(InputError, match="'yard' is never predicted"):
+        tables.deciding(rooms=("yard", "sauna"))
+
+
+def test_one_room_may_be_given_as_text(built: dict[str, Path]) -> None:
+    tables = RoomTables.open(built["all"], "flat", offline=True, rooms="kitchen")
+    assert [room.label for room in tables.candidates] == ["kitchen"]
+    assert [room.label for room in tables.deciding(rooms="office").candidates] == ["office"]
+
+
+@pytest.mark.parametrize("objects", [[["bed"]], [{"a": 1}], [b"bed"], [None], None, 5, [3.5]])
+def test_objects_that_are_no_names_are_refused(built: dict[str, Path], objects: Any) -> None:
+    tables = RoomTables.open(built["all"], "flat", offline=True)
+    for ask in (tables.classify, lambda given: tables.classify_many([["bed"], given])):
+        with pytest.raises(InputError, match="objects must be strings"):
+            ask(objects)
 
 
 def test_threads_share_one(built: dict[str, Path]) -> None:

@@ -324,6 +324,54 @@ def test_without_answers_nothing_changes() -> None:
     assert named(flat()) == flat()
 
 
+NAMED = {"rule": "query", "label": "kitchen"}  # what roomtables notes of a room it has named
+
+
+def renamed(name: str, provenance: Any, **options: Any) -> tuple[dict[str, Any], int]:
+    """The only room of a graph, which has a name and loses its answer or gets another."""
+    room = node("R7", 2, name=name, metadata={"roomtables": provenance, "from": "elsewhere"})
+    room["attributes"]["semantic_class_probabilities"] = {"kitchen": 1.0}
+    document = graph([room], [], LABELS, {0: "unknown", 2: "kitchen"})
+    answers = {"R7": NamedRoom("bedroom", {})} if options.pop("answered", False) else {}
+    count = label_rooms(parse_graph(document, "test"), answers, ["bedroom", "kitchen"], **options)
+    found: dict[str, Any] = document["nodes"][0]["attributes"]
+    return found, count
+
+
+def test_without_an_answer_roomtables_own_name_is_taken_back() -> None:
+    found, count = renamed("kitchen", NAMED)
+    assert (found["name"], found["semantic_label"], count) == ("R7", 0, 0)
+    assert found["semantic_class_probabilities"] == {}
+    assert found["metadata"] == {"from": "elsewhere"}
+
+
+@pytest.mark.parametrize(
+    ("name", "provenance"),
+    [("canteen", NAMED), ("kitchen", {}), ("kitchen", [1]), ("kitchen", {"label": ["kitchen"]})],
+)
+def test_without_an_answer_a_name_that_another_gave_stays(name: str, provenance: Any) -> None:
+    found, _ = renamed(name, provenance)
+    assert (found["name"], found["semantic_label"]) == (name, 2)
+    assert found["semantic_class_probabilities"] == {"kitchen": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "provenance", "kept"),
+    [
+        ("canteen", NAMED, True),
+        ("kitchen", {}, True),
+        ("kitchen", NAMED, False),
+        ("R7", {}, False),
+        ("R(7)", {}, False),  # as older versions of Hydra wrote it
+        ("", {}, False),
+    ],
+)
+def test_names_that_others_gave_can_be_kept(name: str, provenance: Any, kept: bool) -> None:
+    found, count = renamed(name, provenance, answered=True, keep_names=True)
+    assert (found["name"], count) == ((name, 0) if kept else ("bedroom", 1))
+    assert renamed(name, provenance, answered=True)[0]["name"] == "bedroom"
+
+
 def test_naming_the_same_rooms_again_changes_nothing() -> None:
     once = named(flat(), R0="bedroom", R1="kitchen")
     assert named(once, R0="bedroom", R1="kitchen") == once

@@ -145,7 +145,7 @@ def test_two_mutations_at_once_neither(version, tmp_path_factory, data):
         (("settings", "k"), 0, "k must be from 1 to 8, not 0"),
         (("settings", "prior_weight"), "x", "`prior_weight` must be float"),
         (("settings", "rule"), None, "it lacks `settings.rule`"),
-        (("scorer_id",), "\ud800", "characters that are no text"),
+        (("scorer_id",), "\ud800", "half of a surrogate pair"),
     ],
 )
 def test_what_is_wrong_is_named(version, path, wrong, said):
