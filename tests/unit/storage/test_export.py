@@ -105,7 +105,8 @@ def test_a_model_is_packed_beside_the_tables_and_noted(tables: Path, tmp_path: P
     export(tables, "small", tmp_path / "robot.tar", write_model)
     folder = unpack(tmp_path / "robot.tar", tmp_path / "robot")
     version = SpaceFolder(folder / "tables", "small").current()
-    assert (version.path / "model" / "model.onnx").read_text() == version.name
+    written_for = (version.path / "model" / "model.onnx").read_text()
+    assert version.name.startswith(f"{written_for}-")
     assert "model/model.onnx" in version.manifest.files
     version.verify()
 
