@@ -14,11 +14,12 @@ from roomtables.config import BuildConfig
 from roomtables.labels import LabelSpace
 from roomtables.online import rules
 from roomtables.schemas import GROUND_TRUTH, PROXY
+from roomtables.scorer import Scorer
 from roomtables.sentences import Template
 from roomtables.storage.lookup import pack_keys
 from roomtables.storage.lookup_writer import LookupSettings, ScoreChunks, write_lookup
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
-from support import HashScorer, made_manifest
+from support import made_manifest
 
 
 def small_arrays(room_logits: NDArray[Any], space: LabelSpace) -> dict[str, NDArray[Any]]:
@@ -38,7 +39,7 @@ def small_arrays(room_logits: NDArray[Any], space: LabelSpace) -> dict[str, NDAr
 def publish(
     tables: Path,
     space: LabelSpace,
-    scorer: HashScorer,
+    scorer: Scorer,
     *,
     counts: Mapping[tuple[str, str], float] | None = None,
     held: Collection[frozenset[str]] | None = None,
@@ -81,18 +82,17 @@ def publish(
         return folder.publish(staging, folder.new_name("madeupxx"), manifest)
 
 
-def _scored(space: LabelSpace, scorer: HashScorer, groups: Sequence[Any]) -> NDArray[Any]:
+def _scored(space: LabelSpace, scorer: Scorer, groups: Sequence[Any]) -> NDArray[Any]:
     """S of the sentences of groups of objects and every room, ``[groups, rooms]``."""
     template = Template()
-    return np.array([
-        [scorer.score_of(text).log_prob for text in template.compose(group, space.rooms)]
-        for group in groups
-    ])  # fmt: skip
+    sentences = [text for group in groups for text in template.compose(group, space.rooms)]
+    scores = [score.log_prob for score in scorer.score(sentences)] if sentences else []
+    return np.array(scores).reshape(len(groups), len(space.rooms))
 
 
 def _query_scores(
     space: LabelSpace,
-    scorer: HashScorer,
+    scorer: Scorer,
     ranks: NDArray[Any],
     held: Collection[frozenset[str]] | None,
     k: int,
@@ -111,6 +111,6 @@ def _query_scores(
     order = np.argsort(keys)
     predicted = [n for n, room in enumerate(space.rooms) if room.predicted]
     groups = [[by_rank[at] for at in picked[row]] for row in order]
-    scores = _scored(space, scorer, groups).reshape(len(groups), len(space.rooms))[:, predicted]
+    scores = _scored(space, scorer, groups)[:, predicted]
     chunks = [(keys[order], scores.astype(np.float32))] if groups else []
     return ScoreChunks(len(groups), len(predicted), chunks)
