@@ -10,6 +10,7 @@ import logging
 import re
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -20,10 +21,11 @@ log = logging.getLogger(__name__)
 
 _POLL_MS = 100
 _LARGEST_MESSAGE = 256 << 20  # bytes
-_MOST_BEHIND = 20  # graphs that may wait while one is labelled; of more, the newest alone is taken
-_MOST_BEHIND_BYTES = 64 << 20
-_MOST_DRAINED = 1_000  # so that no flood keeps it from labelling
-_QUEUE = 8  # graphs in the queue of a socket
+# Graphs that arrive while one is labelled are labelled in their order, unless there are more, or
+# they wait longer: of those the newest alone is labelled.
+_MOST_WAITING = 20
+_LONGEST_WAIT = 0.25  # seconds
+_QUEUE = 64  # graphs in the queue of a socket
 _ALL_INTERFACES = re.compile(r"tcp://(0\.0\.0\.0|\*|\[::\]|::)(:|$)")
 
 
@@ -52,7 +54,7 @@ class Service:
         try:
             self._in = self._socket(zmq.SUB, zmq.RCVHWM, _QUEUE)
             self._in.setsockopt(zmq.SUBSCRIBE, b"")
-            self._out = self._socket(zmq.PUB, zmq.SNDHWM, _MOST_BEHIND)
+            self._out = self._socket(zmq.PUB, zmq.SNDHWM, _QUEUE)
             self._open("--recv", receive, self._in.connect)
             self._open("--send", send, self._out.bind)
         except InputError:
@@ -93,26 +95,22 @@ class Service:
         due, before = time.monotonic() + report_every, 0
         while not stop.is_set():
             if self._in.poll(_POLL_MS):
-                for message in self._waiting():
-                    self._publish(self._graphs.take(message))
+                self._label_waiting()
             self._publish(self._graphs.take_model_answers())
             if time.monotonic() >= due:
                 self._report(idle=counters.received == before)
                 due, before = time.monotonic() + report_every, counters.received
 
-    def _waiting(self) -> list[bytes]:
-        """The graphs that have arrived, in order; of too many, the newest alone."""
-        messages: list[bytes] = []
-        behind = False
-        for taken in range(_MOST_DRAINED):
-            # What is taken out of a full queue, it has again a moment later.
-            if not self._in.poll(1 if taken >= _QUEUE else 0):
-                break
+    def _label_waiting(self) -> None:
+        """Label the graphs that have arrived, in order; where that takes too long, the newest."""
+        messages = deque([self._in.recv()])
+        while len(messages) <= _QUEUE and self._in.poll(0):
             messages.append(self._in.recv())
-            if len(messages) > _MOST_BEHIND or sum(map(len, messages)) > _MOST_BEHIND_BYTES:
-                behind = True
-                del messages[:-1]
-        return messages[-1:] if behind else messages
+        late = time.monotonic() + _LONGEST_WAIT
+        while messages:
+            if len(messages) > _MOST_WAITING or time.monotonic() > late:
+                messages = deque([messages[-1]])
+            self._publish(self._graphs.take(messages.popleft()))
 
     def _publish(self, message: bytes | None) -> None:
         if message is not None:
