@@ -148,8 +148,8 @@ def test_label_names_rooms_and_says_how_many(scene: Path, tables: Path, tmp_path
     assert {"version", "probability", "objects", "source", "answered_by"} <= found.keys()
     assert found["read_as"] == {"Bed": "bed"}
     assert rooms[1]["metadata"]["roomtables"]["read_as"] == {"stove": "oven"}
-    assert rooms[1]["metadata"]["roomtables"]["unknown_objects"] == ["wall"]
-    assert 'unknown to label space flat: "wall"\n' in result.stderr
+    assert rooms[1]["metadata"]["roomtables"]["unknown_objects"] == ["gizmo"]
+    assert 'unknown to label space flat: "gizmo"\n' in result.stderr
     # What was labelled is not taken for the truth afterwards.
     assert all("room" not in room for room in lines(run("rooms", out)))
 
