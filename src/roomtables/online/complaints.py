@@ -45,14 +45,13 @@ class Complaints:
             return
         more = f" (and {known.untold} more like it)" if known is not None and known.untold else ""
         self._kinds[kind] = _Kind(now)
-        log.warning("%s%s", warning.format(printable(reason)), more)
+        log.warning("%s%s", warning.format(shortened(reason)), more)
 
     def _kind(self, reason: str) -> str:
         kind = " ".join(re.sub(r"\d+", "", reason[:_LONGEST]).split()[:_WORDS])
         return kind if kind in self._kinds or len(self._kinds) < _MOST_KINDS else "others"
 
 
-def printable(text: str, longest: int = _LONGEST) -> str:
-    """Text from outside for a terminal: shortened, control characters escaped."""
-    shown = text if len(text) <= longest else text[:longest] + "…"
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in shown)
+def shortened(text: str, longest: int = _LONGEST) -> str:
+    """Text from outside, cut where it is too long for a line of a log."""
+    return text if len(text) <= longest else text[:longest] + "…"

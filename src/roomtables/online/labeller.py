@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables
-from roomtables.online.complaints import printable
+from roomtables.online.complaints import shortened
 from roomtables.online.model_thread import ModelThread
 from roomtables.online.prediction import NONE, Prediction
 
@@ -156,4 +156,4 @@ class UnknownNames:
 
     def _entry(self, name: str, count: int) -> str:
         nearest = next(iter(self._suggest(name)), None)
-        return f"{printable(name, _LONGEST_NAME)} {count}" + (f" ({nearest}?)" if nearest else "")
+        return f"{shortened(name, _LONGEST_NAME)} {count}" + (f" ({nearest}?)" if nearest else "")

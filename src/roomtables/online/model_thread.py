@@ -16,7 +16,7 @@ from itertools import islice
 
 from roomtables.errors import first_line
 from roomtables.online.classifier import RoomTables
-from roomtables.online.complaints import Complaints, printable
+from roomtables.online.complaints import Complaints
 from roomtables.online.prediction import Prediction
 
 log = logging.getLogger(__name__)
@@ -117,7 +117,7 @@ class ModelThread:
         try:
             loaded = self._tables.load_model()  # where there is none, it has said so
         except Exception as error:
-            log.warning("no language model (%s)", printable(first_line(error)))
+            log.warning("no language model (%s)", first_line(error))
             loaded = False
         if not loaded:
             self.close()
