@@ -18,8 +18,8 @@ from mutations import changed_bytes
 from roomtables.errors import InputError
 from roomtables.limits import MalformedError
 from roomtables.scenes.dsg_binary import check_graph
+from roomtables.scenes.live import GraphCodec
 from roomtables.scenes.reader import read_scene
-from roomtables.scenes.sparkdsg import GraphCodec
 
 spark_dsg = pytest.importorskip("spark_dsg")
 
@@ -169,7 +169,7 @@ import resource, sys
 from pathlib import Path
 import spark_dsg
 from roomtables.errors import InputError
-from roomtables.scenes.sparkdsg import GraphCodec
+from roomtables.scenes.live import GraphCodec
 codec = GraphCodec()
 resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
