@@ -173,16 +173,14 @@ from roomtables.scenes.live import GraphCodec
 codec = GraphCodec()
 resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-content = Path(sys.argv[1]).read_bytes()
 refused = 0
-while content:
-    size = int.from_bytes(content[:4], "little")
-    try:
-        codec.decode(content[4 : 4 + size])
-    except InputError as error:
-        refused += 1
-        assert "\\n" not in str(error)
-    content = content[4 + size :]
+with Path(sys.argv[1]).open("rb") as messages:
+    while size := messages.read(4):
+        try:
+            codec.decode(messages.read(int.from_bytes(size, "little")))
+        except InputError as error:
+            refused += 1
+            assert "\\n" not in str(error)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before, refused)
 """
 
