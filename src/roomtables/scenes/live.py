@@ -29,6 +29,7 @@ from roomtables.scenes.sparkdsg import graph_class
 # A node's id is a letter above these bits, and an index.
 _INDEX_BITS = 56
 _OBJECT_LETTERS = frozenset(map(ord, "Oo"))
+_NO_METADATA = frozenset({"null", "{}"})
 _UNSET_LABEL = 2**32 - 1  # a node's semantic_label has 32 bits
 
 
@@ -107,7 +108,7 @@ class LiveGraph:
                 attributes.name = room.label
                 attributes.semantic_label = ids[room.label]
                 attributes.semantic_class_probabilities = dict(room.probabilities)
-                attributes.metadata.set({**own, "roomtables": dict(room.provenance)})
+                _note_provenance(attributes, own, room)
                 continue
             attributes.name = key
             if key in self.ours:  # else Hydra copied the name, and all the rest is its own
@@ -164,9 +165,25 @@ def _metadata(holder: Any, what: str) -> dict[str, Any]:
         It is no JSON object.
     """
     try:
+        if holder._metadata._get() in _NO_METADATA:  # most nodes' is: spares decoding it
+            return {}
+    except AttributeError:  # it is private, and may be named otherwise one day
+        pass
+    try:
         return dict(holder.metadata.get())
     except TypeError as error:  # spark_dsg wraps what it holds as a mapping, whatever it is
         raise InputError(f"metadata of {what} is not an object") from error
+
+
+def _note_provenance(attributes: Any, own: Mapping[str, Any], room: NamedRoom) -> None:
+    """Add where a room's name came from to the metadata that the room has."""
+    try:
+        if not own:  # spares encoding what is in most graphs the same as in the one before
+            attributes._metadata._set(room.metadata)
+            return
+    except AttributeError:  # as in `_metadata`
+        pass
+    attributes.metadata.set({**own, "roomtables": dict(room.provenance)})
 
 
 def _child(value: Mapping[str, Any], key: str) -> Mapping[str, Any]:
