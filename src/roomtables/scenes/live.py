@@ -62,7 +62,9 @@ class LiveGraph:
             raise InputError(
                 "no label space names its objects' labels; give one with `--labelspace FILE.yaml`"
             )
-        self.rooms = self._contents(dict(zip(nodes, self._rooms, strict=True)), objects, names or {})
+        self.rooms = self._contents(
+            dict(zip(nodes, self._rooms, strict=True)), objects, names or {}
+        )
         self.names = {key: str(attributes.name) for key, attributes in self._rooms.items()}
         self._room_metadata = {
             key: _metadata(attributes, f"room {key}") for key, attributes in self._rooms.items()
