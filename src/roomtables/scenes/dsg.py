@@ -6,10 +6,12 @@ names rooms in the graph's JSON and changes nothing else there.
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from roomtables.errors import InputError
@@ -184,13 +186,18 @@ def _letters(graph: Graph) -> dict[int, str]:
     return letters if known <= letters.keys() else {}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class NamedRoom:
     """A room's answer: its label, each candidate's probability, and where the answer came from."""
 
     label: str
     probabilities: Mapping[str, float]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def metadata(self) -> str:
+        """JSON of the metadata of a room that has no other."""
+        return json.dumps({"roomtables": dict(self.provenance)})
 
 
 def label_rooms(

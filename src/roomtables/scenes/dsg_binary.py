@@ -11,9 +11,10 @@ entries are plain bytes. Vectors of three are written without a list around them
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 from roomtables.limits import LINE_BYTES, MalformedError, json_value
@@ -50,6 +51,10 @@ _IDENTIFIER = b"SPARK_DSG"
 _FIRST_READABLE = (1, 0, 2)  # spark_dsg refuses older files itself
 _LAST_KNOWN = (1, 1, 3)
 _MOST_TYPES = 256  # a node's type is one byte
+# A run is found at a glance: so many entries at most, each with a text of so many bytes at most.
+_RUN, _SHORT = 256, 15
+_SHORT = 12  # bytes of the texts in a `_run`
+_AT_ONCE = 256  # entries of a `_run`, which bounds what matching one takes
 
 _TEXT = List(1)
 
@@ -179,7 +184,12 @@ def _entries(
     if data[at] != _BEGIN:
         raise MalformedError(f"neither nodes nor edges begin at byte {at}")
     at += 1
+    runs: dict[int, re.Pattern[bytes]] = {}
+    kind = 0
     while data[at] != _END:
+        if kind in runs and (run := runs[kind].match(data, at)):
+            at = run.end()
+            continue
         at += head
         if stamped:
             at += 1 if data[at] == _NONE else _I64
@@ -188,7 +198,23 @@ def _entries(
         if layout is None:
             raise MalformedError(f"a node or an edge of an unknown type at byte {at}")
         at = _walk(data, at + _U8, layout)
+        if kind not in runs and not stamped:
+            runs[kind] = _run(layout, head, kind)
     return at + 1
+
+
+@lru_cache(maxsize=64)
+def _run(layout: Layout, head: int, kind: int) -> re.Pattern[bytes]:
+    """Entries of one type that hold nothing but the usual in their lists: what `_entries` would
+    step over one by one."""
+    short = (rb"\x%02x\0{3}.{%d}" % (length, length) for length in range(_SHORT + 1))
+    text = rb"\xdd(?:%s)" % b"|".join(short)
+    parts = [rb"[^\x%02x].{%d}\x%02x" % (_END, head + _U8 - 2, kind)]
+    for before, (each, inside, usual, size) in layout.lists:
+        usual_list = re.escape(usual) + b".{%d}" % (size - len(usual))
+        parts += [b".{%d}" % before, text if (each, inside) == (1, None) else usual_list]
+    entry = b"".join([*parts, b".{%d}" % layout.rest])
+    return re.compile(b"(?:%s){1,%d}" % (entry, _RUN), re.DOTALL)
 
 
 def _each(layout: Layout, least: int) -> List:

@@ -7,7 +7,7 @@ whichever way the edge was written, so parents cannot run in a circle.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -160,7 +160,7 @@ def label_spaces(document: Mapping[str, Any], source: str) -> dict[str, dict[int
 
 def rooms_of(
     children: Iterable[int],
-    parents: Callable[[int], Iterable[int]],
+    parents: Callable[[int], Sequence[int]],
     is_room: Callable[[int], bool],
     distance: Callable[[int, int], float],
 ) -> dict[int, int | None]:
@@ -178,7 +178,12 @@ def rooms_of(
             reached[node] = frozenset(found)
         return reached[node]
 
-    return {child: _vote(child, parents(child), climb, distance) for child in children}
+    def room(child: int) -> int | None:
+        above = parents(child)
+        found = climb(above[0]) if len(above) == 1 else frozenset().union(*map(climb, above))
+        return next(iter(found), None) if len(found) <= 1 else _vote(child, above, climb, distance)
+
+    return {child: room(child) for child in children}
 
 
 def _vote(
@@ -186,10 +191,8 @@ def _vote(
     parents: Iterable[int],
     climb: Callable[[int], frozenset[int]],
     distance: Callable[[int, int], float],
-) -> int | None:
-    reached: set[int] = set().union(*map(climb, parents))
-    if len(reached) <= 1:
-        return next(iter(reached), None)
+) -> int:
+    """The room of a child that leads to several."""
     ways = [(room, parent) for parent in parents for room in climb(parent)]
     votes = Counter(room for room, _ in ways)
     best = max(votes.values())

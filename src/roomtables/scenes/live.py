@@ -29,6 +29,7 @@ from roomtables.scenes.sparkdsg import graph_class
 # A node's id is a letter above these bits, and an index.
 _INDEX_BITS = 56
 _OBJECT_LETTERS = frozenset(map(ord, "Oo"))
+_NO_METADATA = frozenset({"null", "{}"})
 _UNSET_LABEL = 2**32 - 1  # a node's semantic_label has 32 bits
 
 
@@ -54,16 +55,19 @@ class LiveGraph:
         spaces = label_spaces({"metadata": self._metadata}, "message")
         self._room_labels = _checked_labels(spaces.get("_l4p0", {}))
         names = names or spaces.get("_l2p0") or spaces.get("mesh")
-        self._rooms = {symbol(node.id.value): node for node in _nodes(graph, "ROOMS")}
+        nodes = {node.id.value: node for node in _nodes(graph, "ROOMS")}
+        self._rooms = {symbol(key): node.attributes for key, node in nodes.items()}
         objects = _object_labels(graph)
         if names is None and objects and self._rooms:
             raise InputError(
                 "no label space names its objects' labels; give one with `--labelspace FILE.yaml`"
             )
-        self.rooms = self._contents(objects, names or {})
-        self.names = {key: str(node.attributes.name) for key, node in self._rooms.items()}
+        self.rooms = self._contents(
+            dict(zip(nodes, self._rooms, strict=True)), objects, names or {}
+        )
+        self.names = {key: str(attributes.name) for key, attributes in self._rooms.items()}
         self._room_metadata = {
-            key: _metadata(node.attributes, f"room {key}") for key, node in self._rooms.items()
+            key: _metadata(attributes, f"room {key}") for key, attributes in self._rooms.items()
         }
         origins = {
             key: name_origin(name, _child(self._room_metadata[key], "roomtables"))
@@ -73,10 +77,9 @@ class LiveGraph:
         self.ours = frozenset(key for key, origin in origins.items() if origin == OURS)
 
     def _contents(
-        self, objects: Mapping[int, int], names: Mapping[int, str]
+        self, rooms: Mapping[int, str], objects: Mapping[int, int], names: Mapping[int, str]
     ) -> dict[str, tuple[str, ...]]:
         graph = self._graph
-        rooms = {node.id.value: key for key, node in self._rooms.items()}
         parents = _parents_below(graph, rooms)
         owner = rooms_of(
             objects,
@@ -84,7 +87,7 @@ class LiveGraph:
             rooms.__contains__,
             lambda child, parent: math.dist(graph.get_position(child), graph.get_position(parent)),
         )
-        held: dict[str, list[str]] = {key: [] for key in self._rooms}
+        held: dict[str, list[str]] = {key: [] for key in rooms.values()}
         for key, room in owner.items():
             name = names.get(objects[key])
             if room is not None and name is not None:
@@ -102,12 +105,12 @@ class LiveGraph:
             spaces = {**_child(self._metadata, "labelspaces"), "_l4p0": pairs}
             self._graph.metadata.set({**self._metadata, "labelspaces": spaces})
         for key, room in named.items():
-            attributes, own = self._rooms[key].attributes, self._room_metadata[key]
+            attributes, own = self._rooms[key], self._room_metadata[key]
             if room is not None:
                 attributes.name = room.label
                 attributes.semantic_label = ids[room.label]
                 attributes.semantic_class_probabilities = dict(room.probabilities)
-                attributes.metadata.set({**own, "roomtables": dict(room.provenance)})
+                _note_provenance(attributes, own, room)
                 continue
             attributes.name = key
             if key in self.ours:  # else Hydra copied the name, and all the rest is its own
@@ -164,9 +167,25 @@ def _metadata(holder: Any, what: str) -> dict[str, Any]:
         It is no JSON object.
     """
     try:
+        if holder._metadata._get() in _NO_METADATA:  # most nodes' is: spares decoding it
+            return {}
+    except AttributeError:  # it is private, and may be named otherwise one day
+        pass
+    try:
         return dict(holder.metadata.get())
     except TypeError as error:  # spark_dsg wraps what it holds as a mapping, whatever it is
         raise InputError(f"metadata of {what} is not an object") from error
+
+
+def _note_provenance(attributes: Any, own: Mapping[str, Any], room: NamedRoom) -> None:
+    """Add where a room's name came from to the metadata that the room has."""
+    try:
+        if not own:  # spares encoding what is in most graphs the same as in the one before
+            attributes._metadata._set(room.metadata)
+            return
+    except AttributeError:  # as in `_metadata`
+        pass
+    attributes.metadata.set({**own, "roomtables": dict(room.provenance)})
 
 
 def _child(value: Mapping[str, Any], key: str) -> Mapping[str, Any]:
