@@ -12,6 +12,9 @@ DEMO   := $(VENV)/demo-tables
 SLOW   ?=
 # The same for `make test-faults`.
 FAULTS ?=
+# Processes that `make test` runs tests in; a file's tests all run in one, which makes its fixtures.
+WORKERS ?= 2
+PARALLEL = -n $(WORKERS) --dist loadfile
 
 # A Python 3.10, as Ubuntu 22.04 and ROS 2 Humble have it: the first that answers, pyenv's too.
 IS_3_10 := import sys; sys.exit(sys.version_info[:2] != (3, 10))
@@ -41,7 +44,7 @@ demo: $(VENV)/.installed-lm
 
 # Where no test is collected, pytest exits with 5, and so make fails.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "not slow and not faults"
+	$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not faults"
 	$(MAKE) --no-print-directory test-robot
 
 # From the wheel, with what a robot installs, and without constraints.txt: 3.10 has other releases.
@@ -52,12 +55,12 @@ test-robot:
 test-on-3.10: wheel $(ROBOT)/.installed
 	$(ROBOT)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --no-deps --force-reinstall $(VENV)/wheel/*.whl
-	env -u PYTHONPATH $(ROBOT)/bin/python -m pytest -m "not slow" $(ROBOT_TESTS)
+	env -u PYTHONPATH $(ROBOT)/bin/python -m pytest $(PARALLEL) -m "not slow" $(ROBOT_TESTS)
 
 $(ROBOT)/.installed: pyproject.toml | wheel
 	$(PYTHON_3_10) -m venv --clear $(ROBOT)
 	$(ROBOT)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  "$$(echo $(VENV)/wheel/*.whl)[robot]" hypothesis pytest
+	  "$$(echo $(VENV)/wheel/*.whl)[robot]" hypothesis pytest pytest-xdist
 	touch $@
 
 wheel: $(VENV)/.installed-dev

@@ -172,12 +172,13 @@ def places(value: Any) -> Iterator[tuple[Any, Any]]:
             yield from places(child)
 
 
+@pytest.mark.parametrize("count", [200, pytest.param(3000, marks=pytest.mark.slow)])
 def test_structured_mutations_never_end_it(
-    graphs: GraphLabeller, document: dict[str, Any], tmp_path: Path
+    graphs: GraphLabeller, document: dict[str, Any], tmp_path: Path, count: int
 ) -> None:
     """Types swapped, keys dropped, entries doubled, numbers enormous."""
     chance, outcomes, text = random.Random(13), [], json.dumps(document)
-    for _ in range(600):
+    for _ in range(count):
         mutated = json.loads(text)
         for _ in range(chance.choice((1, 1, 2))):
             holder, key = chance.choice(list(places(mutated)))
@@ -191,8 +192,8 @@ def test_structured_mutations_never_end_it(
         message = encoded(mutated, tmp_path)
         if message is not None:
             outcomes.append(outcome(graphs, message))
-    assert outcomes.count("dropped") > 20
-    assert outcomes.count("labelled") > 100
+    assert outcomes.count("dropped") > count // 30
+    assert outcomes.count("labelled") > count // 6
 
 
 def test_damaged_bytes_never_end_it(graphs: GraphLabeller) -> None:
@@ -223,8 +224,9 @@ def test_a_flood_is_one_line_a_kind_and_second(caplog: pytest.LogCaptureFixture)
 def test_reasons_that_never_repeat_are_few_lines_too(caplog: pytest.LogCaptureFixture) -> None:
     complain = Complaints(clock=lambda: 0.0)
     chance = random.Random(3)
-    for _ in range(5000):
-        complain("".join(chance.choices("abcdefgh ", k=200)) + "x" * 10_000_000 * (_ == 7))
+    for _ in range(2000):
+        complain("".join(chance.choices("abcdefgh ", k=200)))
+    complain("x" * 10_000_000)
     assert len([r for r in caplog.records if r.name.endswith("complaints")]) <= 51
     assert max(len(record.getMessage()) for record in caplog.records) < 400
 

@@ -164,15 +164,14 @@ def test_what_to_install_is_said_once(tables: Path, absent: Sequence[str], advic
     assert done.stderr.count(advice) == done.stderr.count("no language model here") == 1
 
 
-def test_torch_answers_where_onnx_runtime_is_absent(tables: Path) -> None:
-    code = FORBID.format(names=("onnxruntime",)) + (
-        "from roomtables import RoomTables\n"
-        "print(RoomTables.open(sys.argv[1], 'small').classify(sys.argv[2:]).answered_by)"
-    )
-    command = [sys.executable, "-c", code, str(tables), *MISS]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == "lm\n"
-    assert "no language model" not in done.stderr
+def test_torch_answers_where_onnx_runtime_is_absent(
+    tables: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)  # an import then says "not installed"
+    opened = RoomTables.open(tables, "small")
+    assert opened.classify(MISS).answered_by == "lm"
+    assert not isinstance(QueryModel(opened.version.manifest).load(), OnnxScorer)
+    assert "no language model" not in caplog.text
 
 
 class Slow(HashScorer):
@@ -246,10 +245,14 @@ def mpcat40(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_every_real_room_is_answered_as_torch_answers_it(mpcat40: Path, shared_data: Path) -> None:
+@pytest.mark.parametrize("every", [8, pytest.param(1, marks=pytest.mark.slow)])
+def test_real_rooms_are_answered_as_torch_answers_them(
+    mpcat40: Path, shared_data: Path, every: int
+) -> None:
     files = ["matterport3d/mpcat40_rooms_test.jsonl", "ai2thor/ai2thor_rooms.jsonl"]
     rooms: list[Room] = [room for file in files for room in read_rooms(shared_data / file)]
     assert len(rooms) == 523 + 120
+    rooms = rooms[::every]
     options = {"rule": "query", "note_misses": False}
     scorers: list[Scorer] = [OnnxScorer.open(EMBEDDED_FOLDER), load_scorer()]
     found: list[list[Prediction]] = []
@@ -260,4 +263,4 @@ def test_every_real_room_is_answered_as_torch_answers_it(mpcat40: Path, shared_d
         assert one.room == other.room
         assert one.objects == other.objects
         assert one.probabilities == pytest.approx(other.probabilities, abs=1e-3)
-    assert sum(one.answered_by == "lm" for one in found[0]) > 600
+    assert sum(one.answered_by == "lm" for one in found[0]) > 0.9 * len(rooms)

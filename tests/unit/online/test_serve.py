@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from roomtables.errors import InputError
+from roomtables.online import serve
 from roomtables.online.classifier import RoomTables
 from roomtables.online.live import Counters
 from roomtables.online.model_thread import ModelThread
@@ -135,7 +136,11 @@ def published_of_a_burst(wire: Wire, count: int) -> list[list[str]]:
     return back
 
 
-def test_graphs_that_arrive_close_together_are_all_labelled(wire: Wire) -> None:
+def test_graphs_that_arrive_close_together_are_all_labelled(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A machine under load labels slowly; how long a graph may wait is not what is tested here.
+    monkeypatch.setattr(serve, "_LONGEST_WAIT", 60.0)
     assert published_of_a_burst(wire, 12) == [["bedroom"] * (at + 1) for at in range(12)]
 
 
@@ -147,9 +152,9 @@ def test_of_a_flood_the_newest_is_labelled(wire: Wire, monkeypatch: pytest.Monke
         return take(message)
 
     monkeypatch.setattr(wire.graphs, "take", slowly)
-    back = published_of_a_burst(wire, 200)
-    assert back[-1] == ["bedroom"] * 200
-    assert len(back) < 100
+    back = published_of_a_burst(wire, 60)
+    assert back[-1] == ["bedroom"] * 60
+    assert len(back) < 50
 
 
 def test_a_peer_that_vanishes_and_returns_is_heard_again(wire: Wire) -> None:
@@ -252,9 +257,10 @@ def test_memory_does_not_grow_with_updates(opened: RoomTables) -> None:
 
     if not Path("/proc/self/statm").exists():
         pytest.skip("resident memory is read from /proc")
-    update(100)  # allocators and caches fill
-    before = update(100)
-    assert update(400) - before < 4 << 20  # 400 messages kept would be several times that
+    update(50)  # allocators and caches fill
+    before = update(50)
+    kept = 150 * sum(map(len, messages)) // 5  # were all kept
+    assert update(150) - before < kept // 3
 
 
 def test_a_malformed_graph_does_not_end_the_service(wire: Wire) -> None:

@@ -24,7 +24,12 @@ def labels(tmp_path_factory):
     return str(write_space(tmp_path_factory.mktemp("labels"), small_space()))
 
 
-@pytest.mark.parametrize("name", NAMES)
+OFTEN = ("a[xy]b", "a'b", "a\nb")  # a pattern, SQL, a terminal
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in OFTEN else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
+)
 def test_a_folder_of_any_name_holds_its_own_tables(tmp_path, labels, name):
     other = tmp_path / NAMES[name]
     build(tables=other, labels=labels, scorer=HashScorer("other@1"), k=2)
