@@ -23,9 +23,9 @@ _POLL_MS = 100
 _LARGEST_MESSAGE = 256 << 20  # bytes
 # Graphs that arrive while one is labelled are labelled in their order, unless there are more, or
 # they wait longer: of those the newest alone is labelled.
-_MOST_WAITING = 20
-_LONGEST_WAIT = 0.25  # seconds
-_QUEUE = 64  # graphs in the queue of a socket
+_MOST_WAITING = 48
+_LONGEST_WAIT = 0.5  # seconds
+_QUEUE = 48  # graphs in the queue of a socket
 _ALL_INTERFACES = re.compile(r"tcp://(0\.0\.0\.0|\*|\[::\]|::)(:|$)")
 
 

@@ -53,8 +53,6 @@ _LAST_KNOWN = (1, 1, 3)
 _MOST_TYPES = 256  # a node's type is one byte
 # A run is found at a glance: so many entries at most, each with a text of so many bytes at most.
 _RUN, _SHORT = 256, 15
-_SHORT = 12  # bytes of the texts in a `_run`
-_AT_ONCE = 256  # entries of a `_run`, which bounds what matching one takes
 
 _TEXT = List(1)
 
