@@ -21,7 +21,7 @@ from roomtables.scenes.dsg import (
     room_label_space,
     unknown_room,
 )
-from roomtables.scenes.dsg_binary import check_graph
+from roomtables.scenes.dsg_binary import CheckedGraph, check_graph
 from roomtables.scenes.dsg_graph import label_spaces, rooms_of, symbol
 from roomtables.scenes.hydra import load_label_names
 from roomtables.scenes.sparkdsg import graph_class
@@ -49,7 +49,7 @@ class LiveGraph:
         No label space names the objects, or metadata or a label space is malformed.
     """
 
-    def __init__(self, graph: Any, names: Mapping[int, str] | None) -> None:
+    def __init__(self, graph: Any, names: Mapping[int, str] | None, checked: CheckedGraph) -> None:
         self._graph = graph
         self._metadata = _metadata(graph, "the graph")
         spaces = label_spaces({"metadata": self._metadata}, "message")
@@ -57,7 +57,7 @@ class LiveGraph:
         names = names or spaces.get("_l2p0") or spaces.get("mesh")
         nodes = {node.id.value: node for node in _nodes(graph, "ROOMS")}
         self._rooms = {symbol(key): node.attributes for key, node in nodes.items()}
-        objects = _object_labels(graph)
+        objects = _object_labels(graph, checked)
         if names is None and objects and self._rooms:
             raise InputError(
                 "no label space names its objects' labels; give one with `--labelspace FILE.yaml`"
@@ -149,9 +149,9 @@ class GraphCodec:
             The message is no scene graph, or one whose labels nothing names.
         """
         try:
-            check_graph(message, self._version)
+            checked = check_graph(message, self._version)
             graph = self._graph_class.from_binary(message)
-            return LiveGraph(graph, self._names)
+            return LiveGraph(graph, self._names, checked)
         except InputError:
             raise
         except Exception as error:  # whatever a forged message makes of the decoder
@@ -229,10 +229,16 @@ def _parents_below(graph: Any, rooms: Iterable[int]) -> dict[int, list[int]]:
     return parents
 
 
-def _object_labels(graph: Any) -> dict[int, int]:
+def _object_labels(graph: Any, checked: CheckedGraph) -> dict[int, int]:
     """The label of each object, by id; agents may share the layer and are no objects."""
+    if not graph.has_layer("OBJECTS"):
+        return {}
+    layer = graph.get_layer("OBJECTS")
+    labels = checked.object_labels(layer.key.layer, layer.key.partition)
+    if len(labels) == layer.num_nodes():  # else spark_dsg tells, which takes longer
+        return labels
     labels = {}
-    for node in _nodes(graph, "OBJECTS"):
+    for node in layer.nodes:
         attributes = node.attributes
         if "Object" in type(attributes).__name__:
             labels[node.id.value] = attributes.semantic_label
