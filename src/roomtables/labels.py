@@ -177,9 +177,14 @@ def _by_label(label: ObjectLabel | RoomLabel) -> str:
 
 
 def _check_reserved(space: LabelSpace) -> None:
-    if space.name in RESERVED_SPACES:
+    if space.name in RESERVED_SPACES or space.name.startswith("."):
         raise LabelSpaceError(
             f"label space {space.name!r}: the tables folder uses this name itself; rename it"
+        )
+    if not space.name or "/" in space.name or not space.name.isprintable():
+        raise LabelSpaceError(
+            f"label space {space.name!r}: its name, which its folder gives it, must be one of "
+            "printable characters without a slash; rename it"
         )
     for room in space.rooms:
         if room.label in RESERVED_ROOMS:

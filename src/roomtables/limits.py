@@ -220,7 +220,10 @@ def _check_yaml_scalar(loader: Any, node: Any, line: int) -> None:
     if len(node.value) > NAME_CHARACTERS:
         raise MalformedError(f"a value of more than {NAME_CHARACTERS} characters", line)
     try:
+        _checked(node.value)  # "\ud800" between quotes
         value = loader.construct_object(node)
+    except MalformedError as error:
+        raise MalformedError(str(error), line) from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise MalformedError(f"{node.value[:40]!r} is no {_kind(node)}", line) from error
     if isinstance(value, int) and len(f"{abs(value):x}") > 16:

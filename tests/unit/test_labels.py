@@ -166,6 +166,15 @@ def test_a_label_is_listed_once_however_the_space_was_made():
         LabelSpace("x", twice[:1], rooms)
 
 
+@pytest.mark.parametrize(
+    "name", ["scores", ".x", ".build-lock", ".staging-1", "", "a/b", "a\nb", "a\x1b[2Jb", "\ud800"]
+)
+def test_a_name_that_the_tables_folder_cannot_hold_is_refused(name):
+    with pytest.raises(LabelSpaceError, match="rename it") as caught:
+        LabelSpace.named(name, ["bed"], ["bedroom"])
+    assert str(caught.value).isprintable()
+
+
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become nobody")
 @pytest.mark.parametrize("closed", [".", "space", "space/small", "space/small/objects.csv"])
 def test_what_may_not_be_read_is_one_line(closed):

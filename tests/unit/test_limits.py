@@ -106,6 +106,8 @@ ALIASES = MERGES.replace("{<<: [", "[").replace("]}", "]")
         ("[" * 5000, "nested more than 100 deep", None),
         ("a: [", "expected the node content", 1),
         ("\x00", "unacceptable character", None),
+        ('a: b\nc: "\\ud800"', "surrogate", 2),
+        ('{"\\udfff": 1}', "surrogate", 1),
         ("x: " + "y" * 20_000, "more than 10000 characters", 1),
         ("x" * 600_000, "larger than 512 kB", None),
     ],

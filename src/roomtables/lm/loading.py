@@ -14,6 +14,7 @@ import torch
 import transformers
 
 from roomtables.errors import ModelError, RoomtablesError, first_line
+from roomtables.lm.bounds import bounded_by_weights, refuse_counts
 from roomtables.lm.causal import CausalBackend
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.folders import ModelFolder, resolve
@@ -48,6 +49,7 @@ def load(
     kind = scoring_kind(folder, scoring)
     identity = scorer_id(folder, dtype, place, kind)
     _quieten()
+    refuse_counts(folder)  # the tokenizer's loader reads the configuration, too
     tokenizer = _load_tokenizer(folder)
     network = load_network(folder, kind, dtype, place)
     accelerate(network)
@@ -122,11 +124,12 @@ def load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any
         Its architecture is unknown, or its weights are damaged, incomplete or too large.
     """
     _refuse_foreign_code(folder)
+    refuse_counts(folder)
     auto = (
         transformers.AutoModelForCausalLM if kind == "causal" else transformers.AutoModelForMaskedLM
     )
     try:
-        with _out_of_memory_named(folder, dtype):
+        with _out_of_memory_named(folder, dtype), bounded_by_weights(folder):
             network, report = auto.from_pretrained(
                 folder.path,
                 dtype=getattr(torch, dtype),

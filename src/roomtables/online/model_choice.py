@@ -13,13 +13,14 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from roomtables.errors import MissingExtraError, RoomtablesError
+from roomtables.errors import MissingExtraError, RoomtablesError, first_line
 from roomtables.lm import EMBEDDED_MODEL, identities, load_scorer
 from roomtables.lm.folders import EMBEDDED_FOLDER
 from roomtables.onnx_lm import MODEL_FILE, TOKENIZER_FILE, OnnxScorer
 from roomtables.scorer import Scorer
 from roomtables.storage.files import refuse_outside
 from roomtables.storage.manifest import FileFacts, Manifest
+from roomtables.storage.refusals import refusal
 from roomtables.storage.versions import MODEL
 
 log = logging.getLogger(__name__)
@@ -63,6 +64,9 @@ class ModelChoice:
                 return None
             except (RoomtablesError, OSError) as error:
                 self._damaged.append(str(error))
+                continue
+            except MemoryError as error:
+                self._missing.append(_out_of_memory(error))
                 continue
             if self._scored_by(scorer.facts.scorer_ids):
                 return scorer
@@ -126,6 +130,9 @@ class ModelChoice:
         except (RoomtablesError, ImportError, OSError) as error:
             self._missing.append(str(error))
             return None
+        except MemoryError as error:
+            self._missing.append(_out_of_memory(error))
+            return None
 
     def _scored_by(self, scorer_ids: tuple[str, ...]) -> bool:
         scored = self._manifest.query_scorer_id
@@ -136,3 +143,7 @@ class ModelChoice:
             f"the tables were scored by {self._manifest.query_scorer_id}, the model here is "
             f"{scorer_id}; run `roomtables build`"
         )
+
+
+def _out_of_memory(error: MemoryError) -> str:
+    return str(refusal(error) or first_line(error))

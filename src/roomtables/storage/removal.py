@@ -7,17 +7,20 @@ what ``CURRENT`` names. Everything here is for whoever holds the build lock.
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 
 from roomtables.limits import JSON_BYTES, json_value, read_bytes
 from roomtables.storage.aside import REMOVING, asides, remove_abandoned, remove_folder
 from roomtables.storage.files import is_held, refuse_outside, writing
 from roomtables.storage.misses import FOLDER
-from roomtables.storage.versions import MANIFEST, STAGING, SpaceFolder
+from roomtables.storage.versions import MANIFEST, NAME, STAGING, SpaceFolder
 
 KEPT_VERSIONS = 2
 # Folders of a label space in which files are written aside at any time.
 _WRITTEN_INTO = (FOLDER, "evaluations")
+# A version that is being written, by the process's id, or removed, by the version's name.
+_HALF = re.compile(rf"{re.escape(STAGING)}\d+|{re.escape(REMOVING)}{NAME.pattern}")
 
 log = logging.getLogger(__name__)
 
@@ -47,7 +50,7 @@ def remove_old(space: SpaceFolder, keep: int = KEPT_VERSIONS) -> dict[str, int]:
 
 def abandoned(space: SpaceFolder) -> list[Path]:
     """What killed processes left half written or half removed, by path."""
-    half = [path for kind in (STAGING, REMOVING) for path in space.path.glob(f"{kind}*")]
+    half = [path for path in space.path.glob(".*-*") if _HALF.fullmatch(path.name)]
     folders = [space.path, *(space.path / name for name in _WRITTEN_INTO)]
     found = (asides(folder) for folder in folders if not folder.is_symlink())
     return sorted(half + [path for paths in found for path in paths])

@@ -34,7 +34,7 @@ MODEL = "model"  # the folder of a language model, in tables that were exported 
 STAGING = ".staging-"
 _KEPT = "what is scored is kept"
 # A number and the inputs' hash; in an archive, the manifest's hash, too.
-_NAME = re.compile(r"\d{6,}-\w+(-[0-9a-f]{8})?")
+NAME = re.compile(r"\d{6,}-\w+(-[0-9a-f]{8})?")
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ class SpaceFolder:
         if not self.path.is_dir():
             return []
         found = (path.parent for path in self.path.glob(f"[0-9]*/{MANIFEST}"))
-        return sorted(path for path in found if _NAME.fullmatch(path.name))
+        return sorted(path for path in found if NAME.fullmatch(path.name))
 
     def new_name(self, fingerprint: str) -> str:
         """A name for the next version: a number, which no clock can turn back, and its inputs."""

@@ -124,6 +124,22 @@ def test_a_configuration_of_wrong_types(copy: Path, change: dict[str, Any]) -> N
     assert "\n" not in said
 
 
+@pytest.mark.parametrize(
+    "change",
+    [{"n_layer": 10**30}, {"num_hidden_layers": 10**9}, {"num_labels": 10**30}, {"n_layer": 9_000},
+     {"text_config": {"num_hidden_layers": 10**30}}, {"n_embd": 2**20}, {"vocab_size": 2**40}],
+    ids=str,
+)  # fmt: skip
+def test_a_configuration_that_asks_for_more_than_the_weights(
+    copy: Path, change: dict[str, Any]
+) -> None:
+    edit_config(copy, **change)
+    started = time.process_time()
+    said = refusal(copy)
+    assert "config.json asks for" in said or "mismatch" in said or "cannot load it" in said
+    assert time.process_time() - started < 20
+
+
 def test_a_missing_head_is_not_drawn_at_random(copy: Path) -> None:
     from safetensors.torch import load_file, save_file
 

@@ -139,6 +139,9 @@ def test_gc_keeps_what_no_build_wrote(tables, labels, caplog):
     (space.path / "000000-notes" / "manifest.json").write_text('["mine"]')
     (space.path / "000000-damaged" / "manifest.json").write_text("{")
     (space.path / "000000-linked").symlink_to(two)
+    for name in (".staging-mine", ".staging-1b", ".removing-notes"):
+        (space.path / name).mkdir()
+        (space.path / name / "mine.txt").write_text("x")
     kept = {path.name for path in space.path.iterdir()} - {one.name}
     assert [row.path for row in collect_garbage(tables, keep=1)] == [f"small/{one.name}"]
     assert {path.name for path in space.path.iterdir()} == kept
