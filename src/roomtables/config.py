@@ -15,6 +15,8 @@ from roomtables.scorer import DTYPES, SCORINGS
 from roomtables.sentences import DEFAULT_TEMPLATE, Template
 
 DEFAULT_LABELS = "household"
+MOST_PRIOR_WEIGHT = 1e6
+MOST_EVIDENCE_POWER = 100.0
 ENGINES = ("local", "ray")
 # What a build may put into the tables besides the rooms of a file; `auto` is `all` or `misses`.
 AUTO, ALL, NONE, MISSES = "auto", "all", "none", "misses"
@@ -177,12 +179,15 @@ def check_decision(prior_weight: float, evidence_power: float) -> None:
     Raises
     ------
     ConfigError
-        λ is not finite, or γ is negative or not finite.
+        λ or γ is so large that sums overflow, or no number, or γ is negative.
     """
-    if not abs(prior_weight) < float("inf"):
-        raise ConfigError(f"prior weight must be finite, not {prior_weight}")
-    if not 0 <= evidence_power < float("inf"):
-        raise ConfigError(f"evidence power must be 0 or more, not {evidence_power}")
+    if not abs(prior_weight) <= MOST_PRIOR_WEIGHT:
+        most = f"{MOST_PRIOR_WEIGHT:,.0f}"
+        raise ConfigError(f"prior weight must be from -{most} to {most}, not {prior_weight}")
+    if not 0 <= evidence_power <= MOST_EVIDENCE_POWER:
+        raise ConfigError(
+            f"evidence power must be from 0 to {MOST_EVIDENCE_POWER:.0f}, not {evidence_power}"
+        )
 
 
 def default_stages() -> dict[str, tuple[str, ...]]:

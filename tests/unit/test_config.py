@@ -44,6 +44,8 @@ def test_options_win_over_the_file_and_the_file_over_defaults(tmp_path):
         ("k = ", "not valid TOML"),
         ("evidence_power = -1", "evidence power"),
         ("prior_weight = inf", "prior weight"),
+        ("prior_weight = 1e308", "prior weight"),
+        ("evidence_power = 1e308", "evidence power"),
     ],
 )
 def test_wrong_values_are_named(tmp_path, text, said):

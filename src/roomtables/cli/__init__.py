@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import click
 
+from roomtables.cli.interrupts import leaving_at_once
 from roomtables.memory import spare_address_space
 
 spare_address_space()  # before numpy is imported, which starts OpenBLAS
 
-from roomtables.cli.common import Group
-from roomtables.cli.evaluating import evaluate_command, report_command
-from roomtables.cli.exploring import sql_command
-from roomtables.cli.labelling import classify
-from roomtables.cli.paper import paper_command
-from roomtables.cli.scenes import label, rooms, show
-from roomtables.cli.serving import serve
-from roomtables.cli.spaces import labels
-from roomtables.cli.tables import build_command, export_command, misses_command, plan_command
-from roomtables.cli.upkeep import compact, diff, gc, rollback, status
+with leaving_at_once():
+    from roomtables.cli.common import Group
+    from roomtables.cli.evaluating import evaluate_command, report_command
+    from roomtables.cli.exploring import sql_command
+    from roomtables.cli.labelling import classify
+    from roomtables.cli.paper import paper_command
+    from roomtables.cli.scenes import label, rooms, show
+    from roomtables.cli.serving import serve
+    from roomtables.cli.spaces import labels
+    from roomtables.cli.tables import build_command, export_command, misses_command, plan_command
+    from roomtables.cli.upkeep import compact, diff, gc, rollback, status
 
 
 @click.group(cls=Group)

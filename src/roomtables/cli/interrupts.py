@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
@@ -21,22 +22,41 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
+def _leave(number: int, frame: FrameType | None) -> NoReturn:
+    os.write(2, b"interrupted\n")
+    os._exit(INTERRUPTED)
+
+
+@contextmanager
+def leaving_at_once() -> Iterator[None]:
+    """While the program is imported and has changed nothing, end it at a signal, in one line."""
+    with _handled_by(_leave):
+        yield
+
+
 @contextmanager
 def interruptible() -> Iterator[None]:
     """Let a service manager's stop be as clean as Ctrl-C; a signal that is ignored stays so."""
+    _came.clear()
+    with _handled_by(_interrupt):
+        yield
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], NoReturn]) -> Iterator[None]:
+    """Handle the signals that nobody ignores or handles; only the main thread can."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     before = {number: signal.getsignal(number) for number in _SIGNALS}
-    for number, handler in before.items():
-        if handler in (signal.SIG_DFL, signal.default_int_handler):
-            signal.signal(number, _interrupt)
-    _came.clear()
+    for number, standing in before.items():
+        if standing in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, handler)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, standing in before.items():
+            signal.signal(number, standing)
 
 
 @contextmanager
@@ -65,5 +85,6 @@ def end_interrupted(ctx: click.Context) -> NoReturn:
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)
     _came.clear()
+    exec("")  # or Python dies of SIGINT at its end if that came within an `exec`
     click.echo("interrupted; what is scored is kept", err=True)
     ctx.exit(INTERRUPTED)

@@ -49,7 +49,6 @@ def load(
     kind = scoring_kind(folder, scoring)
     identity = scorer_id(folder, dtype, place, kind)
     _quieten()
-    refuse_counts(folder)  # the tokenizer's loader reads the configuration, too
     tokenizer = _load_tokenizer(folder)
     network = load_network(folder, kind, dtype, place)
     accelerate(network)
@@ -104,6 +103,7 @@ def _quieten() -> None:
 
 
 def _load_tokenizer(folder: ModelFolder) -> Any:
+    refuse_counts(folder)  # transformers reads the configuration here, too
     try:
         return transformers.AutoTokenizer.from_pretrained(
             folder.path, trust_remote_code=False, local_files_only=True

@@ -130,7 +130,10 @@ class Prediction:
         if self.compared is None:
             return {}
         compared = np.asarray(self.compared, np.float64)
-        values = np.exp(log_softmax(compared / self.temperature)).tolist()
+        best = compared.max()
+        with np.errstate(over="ignore"):  # a temperature near 0: all but the best get 0
+            scaled = (compared - (best if np.isfinite(best) else 0.0)) / self.temperature
+        values = np.exp(log_softmax(scaled)).tolist()
         return dict(zip(self.decider.candidates.names, values, strict=True))
 
     @property

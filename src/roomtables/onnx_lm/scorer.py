@@ -213,7 +213,7 @@ class OnnxScorer:
 def _options(onnxruntime: Any, path: Path) -> Any:
     """Settings that keep memory low, and processors free for other programs."""
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # errors only
+    options.log_severity_level = 4  # errors are raised, too
     options.inter_op_num_threads = 1
     if path.stat().st_size < ONE_THREAD_PARAMETERS * _BYTES_OF_A_WEIGHT:
         options.intra_op_num_threads = 1

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import duckdb
 
+from roomtables.errors import StoreError
 from roomtables.memory import MEGABYTE, address_space_limit, available
 from roomtables.schemas import literal
 from roomtables.storage.refusals import refusal
@@ -27,7 +28,16 @@ def connect(database: Path | None = None, spill: Path | None = None) -> duckdb.D
     ----------
     database : the file; its tables are named without a prefix
     spill : the folder for what memory cannot hold
+
+    Raises
+    ------
+    StoreError
+        The file's path holds a backslash.
     """
+    if database is not None and "\\" in str(database):
+        raise StoreError(
+            f"{database.parent}: DuckDB takes the backslash for a slash; use a folder without one"
+        )
     connection = duckdb.connect(config=within_memory())
     if spill is not None:
         connection.execute(f"set temp_directory = {literal(spill)}")

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from signal import SIGINT, SIGTERM
 
 import click
@@ -78,3 +80,44 @@ def test_a_signal_that_is_ignored_stays_ignored(number):
 @pytest.mark.usefixtures("foreground")
 def test_errors_are_errors_where_no_signal_came():
     assert isinstance(run(lambda: 1 / 0).exception, ZeroDivisionError)
+
+
+EXECUTED = """
+import os, signal, sys, click
+from roomtables.cli.common import Group
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, signal.default_int_handler)
+act = click.Command("act", callback=lambda: exec("os.kill(os.getpid(), signal.SIGINT)"))
+Group("roomtables", commands=[act])(["act"])
+"""
+IMPORTING = """
+import os, signal, sys
+sys.argv, number = sys.argv[:1], int(sys.argv[1])
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Meets:
+    def find_spec(self, name, *_):
+        if name == "roomtables.cli.common":
+            os.kill(os.getpid(), number)
+sys.meta_path.insert(0, Meets())
+import roomtables.cli
+"""
+
+
+def test_a_signal_within_executed_text_is_met_alike():
+    ended = subprocess.run([sys.executable, "-c", EXECUTED], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, LINE)
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_a_signal_while_the_program_is_imported_is_one_line(number):
+    command = [sys.executable, "-c", IMPORTING, str(int(number))]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "interrupted\n")
+
+
+def test_importing_the_command_line_leaves_the_handlers():
+    code = (
+        "import signal; before = signal.getsignal(2), signal.getsignal(15); import roomtables.cli; "
+        "assert before == (signal.getsignal(2), signal.getsignal(15))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

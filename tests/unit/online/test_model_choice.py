@@ -60,6 +60,24 @@ def test_the_packaged_file_answers_for_tables_that_its_model_scored(tables: Path
     assert found.probabilities == pytest.approx(torch.probabilities, abs=1e-3)
 
 
+def test_too_little_memory_for_the_model_leaves_the_tables_to_decide(tables: Path) -> None:
+    code = f"""
+import resource
+from roomtables import RoomTables
+from roomtables.memory import address_space_used
+import onnxruntime, tokenizers
+opened = RoomTables.open({str(tables)!r}, "small")
+most = address_space_used() + (2 << 20)
+resource.setrlimit(resource.RLIMIT_AS, (most, most))
+found = opened.classify({MISS!r})
+print(found.rule, found.answered_by, found.backed_off)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout == "pooled table True\n", ended.stderr
+    assert ended.stderr.count("no language model here") == 1
+    assert len(ended.stderr.splitlines()) == 1
+
+
 def test_a_miss_runs_without_torch(tables: Path) -> None:
     code = (
         "import sys\n"

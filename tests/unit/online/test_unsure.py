@@ -43,6 +43,14 @@ def test_temperature_divides_what_is_compared(tables, temperature):
     assert cool.room == plain.room
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("rule", ["query", "pooled"])
+def test_a_temperature_near_zero_leaves_only_the_best(tables, rule):
+    found = tables.deciding(rule=rule, temperature=1e-320).classify(["bed", "oven"])
+    assert found.probability in {0.5, 1.0}  # the two may tie
+    assert sum(found.probabilities.values()) == 1.0
+
+
 def test_auto_temperature_is_the_sum_of_the_weights(tables):
     auto = tables.deciding(temperature="auto").classify(["bed", "oven", "lamp"])
     assert auto.temperature == pytest.approx(sum(said.weight for said in auto.evidence))

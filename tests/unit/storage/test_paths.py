@@ -3,6 +3,7 @@
 import pytest
 
 from roomtables import RoomTables, build
+from roomtables.errors import StoreError
 from roomtables.offline.diff import compare
 from roomtables.offline.plan import plan
 from roomtables.offline.upkeep import compact
@@ -50,6 +51,12 @@ def test_a_folder_of_any_name_holds_its_own_tables(tmp_path, labels, name):
     assert (done.parts_before, done.parts_after) == (2, 1)
     assert export(tables, "small", tmp_path / f"{name}.tar.zst")
     assert not build(tables=tables, labels=labels, scorer=HashScorer(), k=2).published
+
+
+def test_a_backslash_which_duckdb_takes_for_a_slash_is_refused(tmp_path, labels):
+    with pytest.raises(StoreError, match="backslash for a slash; use a folder without one"):
+        build(tables=tmp_path / "a\\b", labels=labels, scorer=HashScorer())
+    assert not (tmp_path / "a").exists()
 
 
 def test_a_path_is_no_pattern():
