@@ -55,7 +55,7 @@ test-robot:
 test-on-3.10: wheel $(ROBOT)/.installed
 	$(ROBOT)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --no-deps --force-reinstall $(VENV)/wheel/*.whl
-	env -u PYTHONPATH $(ROBOT)/bin/python -m pytest $(PARALLEL) -m "not slow" $(ROBOT_TESTS)
+	env -u PYTHONPATH $(ROBOT)/bin/python -m pytest $(PARALLEL) -m "not slow and not faults" $(ROBOT_TESTS)
 
 $(ROBOT)/.installed: pyproject.toml | wheel
 	$(PYTHON_3_10) -m venv --clear $(ROBOT)
