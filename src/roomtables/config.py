@@ -10,6 +10,7 @@ from typing import Any
 
 from roomtables.errors import ConfigError, InputError, LabelSpaceError
 from roomtables.labels import LabelSpace
+from roomtables.limits import LARGEST_COUNT
 from roomtables.schemas import REDUCTIONS, RULES, SOURCES
 from roomtables.scorer import DTYPES, SCORINGS
 from roomtables.sentences import DEFAULT_TEMPLATE, Template
@@ -231,15 +232,18 @@ _OPTIONAL = frozenset(known.name for known in fields(BuildConfig) if known.defau
 def _typed(name: str, value: Any, where: Path | str) -> Any:
     """The value as its field holds it, or an error that names key and file."""
     if name not in _NAMES:
-        raise ConfigError(f"{where}: unknown key `{name}`")
+        raise ConfigError(f"{where}: unknown key `{name[:40]}`")
     if name == "stages":
         return _stages(value, where)
     if value is None and name in _OPTIONAL:
         return None
     expected: tuple[type, ...] = _TYPES.get(name, (str, Path))
     fits = isinstance(value, expected) and (expected == (bool,) or not isinstance(value, bool))
+    if isinstance(value, int) and abs(value) > LARGEST_COUNT:  # may be too long to be written
+        raise ConfigError(f"{where}: `{name}` must be at most {LARGEST_COUNT:,.0f}")
     if not fits:
-        raise ConfigError(f"{where}: `{name}` must be {expected[0].__name__}, not {value!r}")
+        shown = repr(value)[:80]
+        raise ConfigError(f"{where}: `{name}` must be {expected[0].__name__}, not {shown}")
     if name in _PATHS:
         return Path(value)
     if name == "template":
@@ -258,5 +262,5 @@ def _stages(value: Any, where: Path | str) -> dict[str, tuple[str, ...]]:
 
 def _texts(name: str, value: Any, where: Path | str) -> tuple[str, ...]:
     if not isinstance(value, list | tuple) or not all(isinstance(text, str) for text in value):
-        raise ConfigError(f"{where}: `{name}` must be a list of strings, not {value!r}")
+        raise ConfigError(f"{where}: `{name}` must be a list of strings, not {value!r}"[:500])
     return tuple(value)

@@ -44,7 +44,7 @@ class Template:
         fields = sorted(name for _, name, _, _ in parts if name is not None)
         if fields != ["objects", "room"] or any(spec or conv for _, _, spec, conv in parts):
             raise ConfigError(
-                f"template {self.text!r} must hold {{objects}} and {{room}} once each; "
+                f"template {self.text[:200]!r} must hold {{objects}} and {{room}} once each; "
                 "correct `template` in build.toml"
             )
 

@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from roomtables.errors import StoreError
+from roomtables.errors import StoreError, first_line
 from roomtables.labels import (
     LABEL,
     PLURAL,
@@ -153,7 +153,7 @@ class Lookup:
             ValueError,
         ) as error:
             raise StoreError(
-                f"{folder} is damaged ({error}); run `roomtables build --full-refresh`"
+                f"{folder} is damaged ({first_line(error)}); run `roomtables build --full-refresh`"
             ) from error
 
     @classmethod

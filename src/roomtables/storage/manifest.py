@@ -17,13 +17,14 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from roomtables.config import BuildConfig
-from roomtables.errors import ConfigError
+from roomtables.errors import ConfigError, first_line
 from roomtables.limits import MalformedError, json_value
 from roomtables.schemas import SCHEMA_VERSION
 from roomtables.storage.files import sha256_of
 
 # Years that every time zone's arithmetic can hold.
 _YEARS = range(1970, 9000)
+_LONGEST_NAME = 255  # of a file, in bytes
 
 
 def count_combinations(objects: int, k: int) -> int:
@@ -166,13 +167,23 @@ class Manifest:
         try:
             value = json_value(content)
         except MalformedError as error:
-            raise ManifestError(str(error)) from error
+            raise ManifestError(first_line(error)) from error
         if not isinstance(value, dict):
             raise ManifestError("it is not a JSON object")
         if value.get("schema_version") != SCHEMA_VERSION:
             raise SchemaVersionError(value.get("schema_version"))
         manifest: Manifest = _record(cls, value, "")
+        for name in manifest.files:
+            _check_file_name(name)
         return manifest
+
+
+def _check_file_name(name: str) -> None:
+    """Refuse what cannot be a path inside a version: ``..``, control characters, too long."""
+    parts = name.split("/")
+    whole = all(part not in {"", ".", ".."} for part in parts) and name.isprintable()
+    if not whole or max(len(part.encode()) for part in parts) > _LONGEST_NAME or len(parts) > 8:
+        raise ManifestError(f"`files` names {name[:40]!r}, which is no file of a version")
 
 
 @cache
@@ -243,4 +254,4 @@ def _settings(value: dict[str, Any]) -> BuildConfig:
     try:
         return BuildConfig.of(value, "settings")
     except ConfigError as error:
-        raise ManifestError(str(error)) from error
+        raise ManifestError(first_line(error)) from error

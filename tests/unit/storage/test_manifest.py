@@ -146,6 +146,12 @@ def test_two_mutations_at_once_neither(version, tmp_path_factory, data):
         (("settings", "prior_weight"), "x", "`prior_weight` must be float"),
         (("settings", "rule"), None, "it lacks `settings.rule`"),
         (("scorer_id",), "\ud800", "half of a surrogate pair"),
+        (("settings", "template"), "x" * 20_000, "^template 'x{100}"),
+        (("settings", "reduction"), "x" * 20_000, "reduction must be one of"),
+        (("files", "x" * 5000), {"bytes": 1, "sha256": ""}, "which is no file of a version"),
+        (("files", "../000001-x/a"), {"bytes": 1, "sha256": ""}, "which is no file of a version"),
+        (("files", "/etc/passwd"), {"bytes": 1, "sha256": ""}, "which is no file of a version"),
+        (("files", "a\x00b"), {"bytes": 1, "sha256": ""}, "which is no file of a version"),
     ],
 )
 def test_what_is_wrong_is_named(version, path, wrong, said):
@@ -157,5 +163,6 @@ def test_what_is_wrong_is_named(version, path, wrong, said):
         del inner[path[-1]]
     else:
         inner[path[-1]] = wrong
-    with pytest.raises(ManifestError, match=said):
+    with pytest.raises(ManifestError, match=said) as caught:
         Manifest.from_bytes(json.dumps(document).encode())
+    assert len(str(caught.value)) < 1000
