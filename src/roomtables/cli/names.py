@@ -10,6 +10,7 @@ from roomtables.cli.printing import echo, in_one_line
 from roomtables.labels import SYNONYM
 from roomtables.names import COMPOUND, NameReader
 from roomtables.online.classifier import RoomTables
+from roomtables.online.complaints import shortened
 from roomtables.online.prediction import Prediction
 from roomtables.scenes.scene import Scene, SceneRoom
 
@@ -94,5 +95,4 @@ def _add(counts: Counter[str], names: Mapping[str, int]) -> None:
 
 def _shown(name: str) -> str:
     """A name as a line can hold it."""
-    cut = name if len(name) <= _LONGEST_SHOWN else name[:_LONGEST_SHOWN] + "…"
-    return in_one_line(cut)
+    return in_one_line(shortened(name, _LONGEST_SHOWN))

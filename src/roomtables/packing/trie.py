@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomtables.packing.sequences import FloatArray, IntArray, Sequences
+from roomtables.packing.sequences import FloatArray, IntArray, Sequences, batches_by_length
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,9 @@ def _ancestors(trie: Trie, node: int) -> IntArray:
 
 def batch_rows(rows: list[Row], budget: int) -> Iterator[list[Row]]:
     """Rows of similar length together, at most ``budget`` padded nodes or one row a batch."""
-    by_length = sorted(rows, key=len, reverse=True)
-    start = 0
-    while start < len(by_length):
-        count = max(1, budget // len(by_length[start]))
-        yield by_length[start : start + count]
-        start += count
+    lengths = np.fromiter(map(len, rows), np.int64, len(rows))
+    for places in batches_by_length(lengths, budget):
+        yield [rows[place] for place in places]
 
 
 @dataclass(frozen=True)
