@@ -23,6 +23,7 @@ from roomtables.lm.identity import device_class, scorer_id, scoring_kind
 from roomtables.lm.kernels import accelerate
 from roomtables.lm.masked import MaskedBackend
 from roomtables.lm.scorer import SentenceScorer, threads_for, using_threads
+from roomtables.lm.weights import refuse_where_short
 
 _log = logging.getLogger(__name__)
 
@@ -49,8 +50,9 @@ def load(
     kind = scoring_kind(folder, scoring)
     identity = scorer_id(folder, dtype, place, kind)
     _quieten()
-    tokenizer = _load_tokenizer(folder)
-    network = load_network(folder, kind, dtype, place)
+    with source_of(folder) as source:
+        tokenizer = _load_tokenizer(folder, source)
+        network = _load_network(folder, source, kind, dtype, place)
     accelerate(network)
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
     parameters = sum(weight.numel() for weight in network.parameters())
