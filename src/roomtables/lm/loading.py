@@ -1,4 +1,4 @@
-"""Loads a model and its tokenizer with transformers: safetensors only, no code of the model's own.
+"""Loads a model and its tokenizer with transformers: safetensors or GGUF, no code of its own.
 
 What cannot be loaded is a ModelError of one line; transformers' own output is silenced.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib.metadata import version
 from typing import Any
 
 import torch
@@ -19,6 +20,7 @@ from roomtables.lm.causal import CausalBackend
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.folders import ModelFolder, resolve
 from roomtables.lm.forward import Forward
+from roomtables.lm.gguf_loading import load_gguf_tokenizer, readable
 from roomtables.lm.identity import device_class, scorer_id, scoring_kind
 from roomtables.lm.kernels import accelerate
 from roomtables.lm.masked import MaskedBackend
@@ -50,9 +52,9 @@ def load(
     kind = scoring_kind(folder, scoring)
     identity = scorer_id(folder, dtype, place, kind)
     _quieten()
-    with source_of(folder) as source:
-        tokenizer = _load_tokenizer(folder, source)
-        network = _load_network(folder, source, kind, dtype, place)
+    refuse_where_short(folder, dtype, place)
+    tokenizer = _load_tokenizer(folder)
+    network = load_network(folder, kind, dtype, place)
     accelerate(network)
     budget = token_budget or DEFAULT_TOKEN_BUDGET[place]
     parameters = sum(weight.numel() for weight in network.parameters())
@@ -68,12 +70,19 @@ def load(
             "revision": folder.commit or revision or "",
             "dtype": dtype,
             "scoring": kind,
+            **_origin(folder),
             **_provenance(backend, place, parameters),
         },
         token_budget=budget,
         threads=threads,
         progress=progress,
     )
+
+
+def _origin(folder: ModelFolder) -> dict[str, str]:
+    if folder.gguf is None:
+        return {}
+    return {"quantisation": folder.gguf.quantisation, "gguf": version("gguf")}
 
 
 def _provenance(
@@ -105,6 +114,8 @@ def _quieten() -> None:
 
 
 def _load_tokenizer(folder: ModelFolder) -> Any:
+    if folder.gguf:
+        return load_gguf_tokenizer(folder)
     refuse_counts(folder)  # transformers reads the configuration here, too
     try:
         return transformers.AutoTokenizer.from_pretrained(
@@ -118,24 +129,30 @@ def _load_tokenizer(folder: ModelFolder) -> Any:
 
 
 def load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any:
-    """The transformers model of a folder, ready to run without gradients.
+    """The transformers model of a folder or GGUF file, ready to run without gradients.
 
     Raises
     ------
     ModelError
         Its architecture is unknown, or its weights are damaged, incomplete or too large.
+    MissingExtraError
+        It is a GGUF file, and what reads one is not installed.
     """
-    _refuse_foreign_code(folder)
-    refuse_counts(folder)
+    if folder.gguf is None:
+        _refuse_foreign_code(folder)
+        refuse_counts(folder)
     auto = (
         transformers.AutoModelForCausalLM if kind == "causal" else transformers.AutoModelForMaskedLM
     )
     try:
-        with _out_of_memory_named(folder, dtype), bounded_by_weights(folder):
+        with (
+            _out_of_memory_named(folder, dtype),
+            bounded_by_weights(folder),
+            readable(folder) as source,
+        ):
             network, report = auto.from_pretrained(
-                folder.path,
+                **source,
                 dtype=getattr(torch, dtype),
-                use_safetensors=True,
                 trust_remote_code=False,
                 local_files_only=True,
                 output_loading_info=True,
