@@ -37,7 +37,10 @@ def address_space_used() -> int:
 
 def available() -> int:
     """Bytes that the process may use: the least of what machine, cgroup and limits leave."""
-    most = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), *(limit for _, limit in _cgroup_limits())]
+    most = [
+        os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        *(limit for _, limit in _cgroup_limits()),
+    ]
     limit = address_space_limit()
     if limit is not None:
         most.append(max(limit - address_space_used(), 0))

@@ -254,7 +254,7 @@ def _with_tensors(
             )
         quantisation, block, block_bytes = sizes[kind]
         elements = prod(shape)
-        if elements < 1 or shape[:1] and shape[0] % block:
+        if elements < 1 or (shape[:1] and shape[0] % block):
             raise _damaged(f"tensor {name[:40]!r} of shape {shape}")
         weights[quantisation] += elements
         largest = max(largest, elements)

@@ -20,7 +20,9 @@ LARGEST_IN_FLOAT32 = 1_500_000_000
 """Weights of the largest model in half precision that is checked in float32 once it is loaded."""
 
 _BYTES = {"float64": 8, "float32": 4, "float16": 2, "bfloat16": 2}  # of a weight
-_ENTRY_BYTES = 1024  # that package gguf and its caller take for each value of a list, such as tokens
+_ENTRY_BYTES = (
+    1024  # that package gguf and its caller take for each value of a list, such as tokens
+)
 _SAID_FROM = 100_000_000  # bytes: what smaller models need is not worth a line
 _HEADER_BYTES = 8  # of a safetensors file, which say how long its header is
 
