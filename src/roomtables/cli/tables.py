@@ -40,7 +40,9 @@ _OPTIONS = (
     click.option(
         "--labels", help=f"Label space: a built-in name, or a folder.  [default: {DEFAULT_LABELS}]"
     ),
-    click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
+    click.option(
+        "--model", help="Hub name, folder, or FILE.gguf.  [default: household-lm, embedded]"
+    ),
     click.option("--revision", help="Branch, tag or commit of a hub model."),
     click.option("--dtype", type=click.Choice(DTYPES), help="Compute precision."),
     click.option("--device", help="auto, cpu or cuda.  [default: auto]"),
@@ -84,6 +86,7 @@ def build_command(
     Example:
       roomtables build
       roomtables build --model ./gpt2 --dtype bfloat16 --combinations rooms.jsonl
+      roomtables build --model SmolLM2-135M-Instruct.Q4_1.gguf --combinations none
     """
     with needing("`roomtables build`", "lm"):
         from roomtables.offline.builder import build

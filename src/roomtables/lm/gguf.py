@@ -185,10 +185,10 @@ class _Cursor:
             return None
         if kind not in _SCALARS:
             raise _damaged(f"a list of unknown kind {kind}")
-        return list(self.numbers(f"{count}{_SCALARS[kind]}")) if wanted else self._pass(kind, count)
-
-    def _pass(self, kind: int, count: int) -> None:
+        if wanted:
+            return list(self.numbers(f"{count}{_SCALARS[kind]}"))
         self.skip(count * struct.calcsize(f"<{_SCALARS[kind]}"))
+        return None
 
 
 def _damaged(what: str) -> MalformedError:

@@ -15,6 +15,7 @@ from roomtables.errors import ModelError
 from roomtables.limits import JSON_BYTES, MalformedError, json_value
 from roomtables.lm.folders import ModelFolder
 from roomtables.memory import free
+from roomtables.scorer import DTYPES
 
 LARGEST_IN_FLOAT32 = 1_500_000_000
 """Weights of the largest model in half precision that is checked in float32 once it is loaded."""
@@ -86,8 +87,10 @@ def refuse_where_short(folder: ModelFolder, dtype: str, device: str) -> None:
     Raises
     ------
     ModelError
-        The memory, or the GPU's, is too short for it.
+        The memory, or the GPU's, is too short for it; or the dtype is unknown.
     """
+    if dtype not in DTYPES:
+        raise ModelError(f"unknown dtype {dtype!r}; use one of {', '.join(DTYPES[:3])}")
     needed = {"memory": in_main_memory(folder, dtype, device)}
     left = {"memory": free()}
     if device == "cuda":
