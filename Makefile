@@ -1,7 +1,7 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`. `make test` runs all
 # tests but those marked slow or faults, of which it runs a small version; `make test-slow` and
-# `make test-faults` run those whole. `make test-real-lm` runs the pipeline on a pretrained model. `make test` ends with `make test-robot`: what a robot runs, on
-# the oldest Python that it may have.
+# `make test-faults` run those whole, `make test-real-lm` those on a pretrained model. `make test`
+# ends with `make test-robot`: what a robot runs, on the oldest Python that it may have.
 
 PYTHON ?= python3
 VENV   := .venv
