@@ -65,36 +65,26 @@ def load(
     return SentenceScorer(
         backend,
         scorer_id=identity,
-        provenance={
-            "model": model,
-            "revision": folder.commit or revision or "",
-            "dtype": dtype,
-            "scoring": kind,
-            **_origin(folder),
-            **_provenance(backend, place, parameters),
-        },
+        provenance={"model": model, "revision": folder.commit or revision or ""}
+        | {"dtype": dtype, "scoring": kind, "parameters": str(parameters)}
+        | _provenance(folder, backend, place),
         token_budget=budget,
         threads=threads,
         progress=progress,
     )
 
 
-def _origin(folder: ModelFolder) -> dict[str, str]:
-    if folder.gguf is None:
-        return {}
-    return {"quantisation": folder.gguf.quantisation, "gguf": version("gguf")}
-
-
 def _provenance(
-    backend: CausalBackend | MaskedBackend, place: str, parameters: int
+    folder: ModelFolder, backend: CausalBackend | MaskedBackend, place: str
 ) -> dict[str, str]:
+    file = folder.gguf
     return {
         "device": _device_name(place),
         "strategy": backend.strategy,
         "fallbacks": "; ".join(backend.fallbacks),
-        "parameters": str(parameters),
         "torch": torch.__version__,
         "transformers": transformers.__version__,
+        **({"quantisation": file.quantisation, "gguf": version("gguf")} if file else {}),
     }
 
 
