@@ -20,7 +20,7 @@ from roomtables import RoomTables, build
 from roomtables.errors import MissingExtraError, ModelError
 from roomtables.lm import export_onnx, identify, identities, load_scorer
 from roomtables.lm.gguf import TOKEN_TYPES, TOKENS, read_header
-from roomtables.lm.gguf_tokenizer import Vocabulary, disagreement
+from roomtables.lm.gguf_tokenizer import PROBES, Vocabulary, disagreement
 from roomtables.onnx_lm import OnnxScorer
 from support import small_space, write_space
 from unit.lm.conftest import byte_level_tokenizer, room_sentences, save_model
@@ -294,3 +294,50 @@ def test_text_that_becomes_unknown(tokenizer_and_file: tuple[Any, Vocabulary]) -
     ]
     unknown = Vocabulary(vocabulary.tokens, types, vocabulary.metadata)
     assert "unknown token" in str(disagreement(tokenizer, unknown))
+
+
+def sentence_piece_changes() -> dict[str, Any]:
+    """A sentencepiece vocabulary with scores and bytes, without merges, like Llama 2's."""
+    from tokenizers import Tokenizer, models, pre_tokenizers, trainers
+
+    bare = Tokenizer(models.BPE())
+    bare.pre_tokenizer = pre_tokenizers.Metaspace()
+    alphabet = [chr(letter) for letter in range(33, 127)]
+    trainer = trainers.BpeTrainer(
+        vocab_size=200, initial_alphabet=[*alphabet, "▁"], show_progress=False
+    )
+    bare.train_from_iterator([*SENTENCES, *PROBES], trainer)
+    pieces = sorted(bare.get_vocab(), key=bare.get_vocab().__getitem__)
+    tokens = ["<unk>", "<s>", "</s>", *(f"<0x{byte:02X}>" for byte in range(256)), *pieces]
+    return {
+        "tokenizer.ggml.model": "llama",
+        "tokenizer.ggml.pre": "default",
+        TOKENS: tokens,
+        TOKEN_TYPES: [2, 3, 3] + [6] * 256 + [1] * len(pieces),
+        "tokenizer.ggml.scores": [0.0] * 259 + [-float(rank) for rank in range(len(pieces))],
+        "tokenizer.ggml.merges": None,
+        "tokenizer.ggml.bos_token_id": 1,
+        "tokenizer.ggml.eos_token_id": 2,
+        "tokenizer.ggml.unknown_token_id": 0,
+        "tokenizer.ggml.add_bos_token": None,
+    }
+
+
+@pytest.mark.parametrize("says", [None, True])
+def test_a_sentencepiece_vocabulary(says: bool | None, tmp_path: Path) -> None:
+    """Without a word of it in the file, a space and a BOS come first, as for llama.cpp."""
+    changes = sentence_piece_changes()
+    if says is not None:
+        for setting in ("add_space_prefix", "add_bos_token"):
+            changes[f"tokenizer.ggml.{setting}"] = says
+    folder = save_model("llama", tmp_path / "llama", vocabulary=len(changes[TOKENS]))
+    file = write_gguf(folder, tmp_path / "tiny.gguf", changes=changes)
+    (score,) = load_scorer(str(file)).score(["a a"])
+    assert score.token_count == 2
+
+
+def test_a_space_that_the_file_wants_left_out(tmp_path: Path) -> None:
+    changes = sentence_piece_changes() | {"tokenizer.ggml.add_space_prefix": False}
+    folder = save_model("llama", tmp_path / "llama", vocabulary=len(changes[TOKENS]))
+    said = refusal(write_gguf(folder, tmp_path / "tiny.gguf", changes=changes))
+    assert "its tokens say ' A room" in said
