@@ -169,9 +169,12 @@ def _picks_listed(room: Prediction) -> bool:
 
 
 def _askable(unlisted: Iterable[str]) -> list[str]:
-    """The unlisted names of a room that the model is asked about, as a sentence says them."""
-    names = dict.fromkeys(as_spoken(name) for name in unlisted if _is_short(name))
-    return [name for name in names if any(map(str.isalpha, name))][:_MOST_UNLISTED]
+    """The unlisted names of a room that the model is asked about, as a sentence says them.
+
+    Where there are too many, in whatever order they are given, it is asked about the same ones.
+    """
+    names = {as_spoken(name) for name in unlisted if _is_short(name)}
+    return sorted(name for name in names if any(map(str.isalpha, name)))[:_MOST_UNLISTED]
 
 
 def _is_short(name: str) -> bool:
