@@ -1,4 +1,4 @@
-"""The language model of a build: named at once, loaded when a sentence is missing from the cache."""
+"""The language model of a build: named at once, loaded when the cache lacks a sentence."""
 
 from __future__ import annotations
 
