@@ -158,12 +158,13 @@ def _types_unchecked() -> Iterator[None]:
     except ImportError:  # inflect may do without, one day
         yield
         return
-    checked = typeguard.typechecked
-    typeguard.typechecked = lambda function: function
+    package: Any = typeguard
+    checked = package.typechecked
+    package.typechecked = lambda function: function
     try:
         yield
     finally:
-        typeguard.typechecked = checked
+        package.typechecked = checked
 
 
 def _ask(question: str, label: str) -> str | None:

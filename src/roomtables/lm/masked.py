@@ -19,7 +19,8 @@ from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import agree, in_float32
-from roomtables.packing.sequences import FloatArray, IntArray, batches_by_length
+from roomtables.packing.sequences import FloatArray, batches_by_length
+from roomtables.packing.tokens import IntArray
 
 _log = logging.getLogger(__name__)
 

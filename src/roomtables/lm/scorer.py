@@ -42,7 +42,7 @@ class Backend(Protocol):
         """Why faster strategies were passed over, one line each."""
         ...
 
-    def encode(self, sentences: Sequence[str]) -> Sequence[Any]:
+    def encode(self, sentences: Sequence[str]) -> Any:
         """Tokens of each sentence.
 
         Raises
@@ -56,7 +56,7 @@ class Backend(Protocol):
         """How many tokens of each encoded sentence are scored."""
         ...
 
-    def log_probs(self, encoded: Sequence[Any], budget: int, meter: Meter) -> FloatArray:
+    def log_probs(self, encoded: Any, budget: int, meter: Meter) -> FloatArray:
         """Sum of log probabilities in nats of each encoded sentence, ``[sentences]``.
 
         ``budget`` is the most tokens in one forward pass.
@@ -146,7 +146,7 @@ class SentenceScorer:
         by_sentence = dict(zip(unique, scores, strict=True))
         return [by_sentence[sentence] for sentence in window]
 
-    def _log_probs(self, encoded: Sequence[Any], meter: Meter) -> FloatArray:
+    def _log_probs(self, encoded: Any, meter: Meter) -> FloatArray:
         """Score a window, with half the token budget whenever memory runs out."""
         while True:
             try:
