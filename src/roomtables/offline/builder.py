@@ -17,7 +17,8 @@ from typing import Any
 from roomtables.config import BuildConfig, pipeline_folder
 from roomtables.errors import StoreError
 from roomtables.offline.engines import score
-from roomtables.offline.inputs import Inputs, LazyScorer
+from roomtables.offline.inputs import Inputs
+from roomtables.offline.model import LazyScorer
 from roomtables.offline.scoring import Scored, Work, missing_sentences
 from roomtables.offline.stages import (
     CACHED,

@@ -33,7 +33,7 @@ from roomtables.errors import (
     first_line,
     needing,
 )
-from roomtables.offline.inputs import LazyScorer
+from roomtables.offline.model import LazyScorer
 from roomtables.offline.scoring import Scored, Work, check_identity, score_locally, scored
 from roomtables.storage.files import writing
 from roomtables.storage.score_cache import SentenceCache

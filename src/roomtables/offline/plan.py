@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.config import ALL, BuildConfig
-from roomtables.offline.inputs import Inputs, LazyScorer
+from roomtables.offline.inputs import Inputs
+from roomtables.offline.model import LazyScorer
 from roomtables.offline.scoring import missing_sentences
 from roomtables.offline.stages import (
     ASKING,
