@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import json
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ from roomtables.storage.files import sha256_of
 
 DEVICE_CLASSES = ("cpu", "cuda")
 DEVICES = (*DEVICE_CLASSES, "auto")
+# Device files of GPUs: NVIDIA's (Jetson's, and under Windows, too) and AMD's.
+_GPU_DEVICES = ("nvidia*", "nvhost*", "nvgpu*", "nvmap", "dxg", "kfd")
 
 # Written by a library that saved the files, without any bearing on a score.
 _VOLATILE = {
@@ -128,7 +131,7 @@ def device_class(device: str) -> str:
     """
     if device not in DEVICES:
         raise ModelError(f"unknown device {device!r}; use one of {', '.join(DEVICES)}")
-    if device == "cpu":
+    if device == "cpu" or (device == "auto" and not _may_have_gpu()):
         return "cpu"
     check_address_space()
     with needing("a language model on this machine's own device"):
@@ -139,6 +142,13 @@ def device_class(device: str) -> str:
     if device == "cuda":
         raise ModelError("no CUDA device was found; use --device cpu, or --device auto")
     return "cpu"
+
+
+def _may_have_gpu() -> bool:
+    """Whether this machine may have a GPU that torch can use: to ask torch takes seconds."""
+    devices = Path("/dev")
+    found = (path for pattern in _GPU_DEVICES for path in devices.glob(pattern))
+    return sys.platform != "darwin" and any(found)
 
 
 def scorer_id(folder: ModelFolder, dtype: str, device: str, scoring: str) -> str:

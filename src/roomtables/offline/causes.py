@@ -151,17 +151,30 @@ class Comparison:
         return (before, after) if before and after else None
 
     @cached_property
-    def renamed_objects(self) -> dict[str, str]:
-        """Objects that bear another label now: old label → new label."""
+    def same_objects(self) -> dict[str, str]:
+        """Objects that bear another label now, which is among their names: old → new label."""
         if self.labels is None:
             return {}
         before, after = self.labels
-        return renamed(before.objects, after.objects, before.names, after.names)
+        came = set(after.objects) - set(before.objects)
+        found: dict[str, str] = {}
+        for old in sorted(set(before.objects) - set(after.objects)):
+            by_name = {new for new in came if before.names.get(new) == old}
+            for new in sorted({after.names.get(old, ""), *by_name} & came - set(found.values())):
+                found.setdefault(old, new)
+        return found
+
+    @property
+    def renamed_objects(self) -> dict[str, str]:
+        """The same; and where one went and one came, it is taken for that one renamed."""
+        if self.same_objects or self.labels is None:
+            return self.same_objects
+        return _only_one(self.labels[0].objects, self.labels[1].objects)
 
     @cached_property
     def renamed_rooms(self) -> dict[str, str]:
-        """Rooms that bear another label now: old label → new label."""
-        return renamed(self.labels[0].rooms, self.labels[1].rooms) if self.labels else {}
+        """A room that went and the one that came instead: old label → new label."""
+        return _only_one(self.labels[0].rooms, self.labels[1].rooms) if self.labels else {}
 
     def of_labels(self, file: str) -> list[str]:
         """How ``objects.csv`` or ``rooms.csv`` changed."""
@@ -224,28 +237,10 @@ def joined(causes: Iterable[str]) -> str:
     return "; ".join([*distinct[:_NAMED], *([f"{more} more"] if more > 0 else [])])
 
 
-def renamed(
-    before: Iterable[str],
-    after: Iterable[str],
-    names_before: Mapping[str, str] | None = None,
-    names_after: Mapping[str, str] | None = None,
-) -> dict[str, str]:
-    """Labels that went and came under another name: old label → new label.
-
-    One is taken for the other where it is among the other's names, or where no other label went
-    and no other came.
-    """
-    gone = sorted(set(before) - set(after))
-    came = sorted(set(after) - set(before))
-    found: dict[str, str] = {}
-    for old in gone:
-        by_name = [new for new in came if (names_before or {}).get(new) == old]
-        new = (names_after or {}).get(old, by_name[0] if by_name else None)
-        if new in came and new not in found.values():
-            found[old] = new
-    if len(gone) == len(came) == 1:
-        found = {gone[0]: came[0]}
-    return found
+def _only_one(before: Iterable[str], after: Iterable[str]) -> dict[str, str]:
+    """The label that went and the one that came, where there is one of each."""
+    gone, came = set(before) - set(after), set(after) - set(before)
+    return dict(zip(gone, came, strict=True)) if len(gone) == len(came) == 1 else {}
 
 
 def _of_set(
