@@ -232,6 +232,6 @@ COMMANDS: Mapping[str, Command] = {
             "rollback", "rollback --tables {tables} --labels home", _versions, done=_rolled_back
         ),
         Command("export", "export --tables {tables} --labels home -o {archive}", _versions),
-        Command("plan", "plan --tables {tables} --labels {labels} -k 3", _versions),
+        Command("plan", "plan --exact --tables {tables} --labels {labels} -k 3", _versions),
     )
 }

@@ -13,58 +13,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from roomtables.config import ALL, MISSES, NONE, BuildConfig
-from roomtables.labels import LabelSpace, names_of_objects
+from roomtables.offline.label_changes import LabelChanges, Labels
+from roomtables.schemas import GROUND_TRUTH, PROXY
 from roomtables.storage.versions import Version
 
-_NAMED = 3  # labels that are named; the others are counted
+_NAMED = 3  # causes that are named; the others are counted
 _MODEL_SETTINGS = ("model", "revision", "dtype", "device", "scoring")
 
+_ALL_SOURCES = {"rooms.csv", "cooccurrence", "cooccurrence.sql", "entropy", "entropy.sql"}
+# What decides the probabilities and entropies of a source, under the names that stages read it.
+DECIDES: Mapping[str, frozenset[str]] = {
+    PROXY: frozenset(_ALL_SOURCES | {"objects.csv", "template", "scores", "model", "reduction"}),
+    GROUND_TRUTH: frozenset(_ALL_SOURCES | {"counts", "smoothing"}),
+}
+# What decides the query sentences of a combination in the order that its objects have, and who
+# scores them.
+_SENTENCES = {"objects.csv", "rooms.csv", "template", "model"}
+
 Stages = Mapping[str, Mapping[str, Any]]
-
-
-@dataclass(frozen=True)
-class Labels:
-    """What a label space says, as far as the tables of a version hold it.
-
-    Attributes
-    ----------
-    objects : label → plural
-    rooms : label → article, and whether it is predicted
-    names : every name of an object → its label
-    """
-
-    objects: Mapping[str, str]
-    rooms: Mapping[str, tuple[str, bool]]
-    names: Mapping[str, str]
-
-    @classmethod
-    def of_space(cls, space: LabelSpace) -> Labels:
-        """Those of a label space."""
-        return cls(
-            {o.label: o.plural for o in space.objects},
-            {r.label: (r.article, r.predicted) for r in space.rooms},
-            {name: found.label for name, found in names_of_objects(space.objects).items()},
-        )
-
-    @classmethod
-    def of_version(cls, version: Version) -> Labels | None:
-        """Those of a version; ``None`` where its tables cannot be read."""
-        try:
-            objects, rooms, names = (
-                pq.read_table(version.path / f"{table}.parquet").to_pylist()
-                for table in ("objects", "rooms", "names")
-            )
-            return cls(
-                {row["label"]: row["plural"] for row in objects},
-                {row["label"]: (row["article"], row["predicted"]) for row in rooms},
-                {row["name"]: row["object"] for row in names},
-            )
-        except (pa.ArrowException, OSError, LookupError):
-            return None
 
 
 @dataclass(frozen=True)
@@ -96,6 +63,11 @@ class Comparison:
     def __init__(self, before: Made, after: Made) -> None:
         self.before = before
         self.after = after
+
+    def keeps_sentences(self, source: str) -> bool:
+        """Whether a combination of a source has the query sentences that it had before."""
+        changed = {read for stage in self.after.stages for read in self.causes(stage)}
+        return not changed & (DECIDES[source] | _SENTENCES)
 
     def causes(self, stage: str) -> dict[str, str]:
         """By what a stage reads: how it changed. What has the same cause is named once.
@@ -132,8 +104,12 @@ class Comparison:
         match read:
             case "template":
                 return "template changed"
-            case "objects.csv" | "rooms.csv":
-                return "; ".join(self.of_labels(read)) or f"{read} changed"
+            case "objects.csv":
+                said = self.labels.of_objects() if self.labels else []
+                return "; ".join(said) or f"{read} changed"
+            case "rooms.csv":
+                said = self.labels.of_rooms() if self.labels else []
+                return "; ".join(said) or f"{read} changed"
             case "counts" | "scores":
                 return self._of_file(read, before, after)
             case "model":
@@ -145,56 +121,14 @@ class Comparison:
         return f"{read} {_short(before)} → {_short(after)}"
 
     @cached_property
-    def labels(self) -> tuple[Labels, Labels] | None:
-        """The two label spaces; ``None`` where one cannot be read."""
+    def labels(self) -> LabelChanges | None:
+        """How the label space changed; ``None`` where one of the two cannot be read."""
         before, after = self.before.read_labels(), self.after.read_labels()
-        return (before, after) if before and after else None
-
-    @cached_property
-    def same_objects(self) -> dict[str, str]:
-        """Objects that bear another label now, which is among their names: old → new label."""
-        if self.labels is None:
-            return {}
-        before, after = self.labels
-        came = set(after.objects) - set(before.objects)
-        found: dict[str, str] = {}
-        for old in sorted(set(before.objects) - set(after.objects)):
-            by_name = {new for new in came if before.names.get(new) == old}
-            for new in sorted({after.names.get(old, ""), *by_name} & came - set(found.values())):
-                found.setdefault(old, new)
-        return found
-
-    @property
-    def renamed_objects(self) -> dict[str, str]:
-        """The same; and where one went and one came, it is taken for that one renamed."""
-        if self.same_objects or self.labels is None:
-            return self.same_objects
-        return _only_one(self.labels[0].objects, self.labels[1].objects)
-
-    @cached_property
-    def renamed_rooms(self) -> dict[str, str]:
-        """A room that went and the one that came instead: old label → new label."""
-        return _only_one(self.labels[0].rooms, self.labels[1].rooms) if self.labels else {}
-
-    def of_labels(self, file: str) -> list[str]:
-        """How ``objects.csv`` or ``rooms.csv`` changed."""
-        if self.labels is None:
-            return []
-        before, after = self.labels
-        if file == "rooms.csv":
-            said = _of_set("room", before.rooms, after.rooms, self.renamed_rooms)
-            return said or _of_rooms(before.rooms, after.rooms)
-        said = _of_set("object", before.objects, after.objects, self.renamed_objects)
-        if said:
-            return said
-        plurals = [o for o in after.objects if after.objects[o] != before.objects[o]]
-        if plurals:
-            return [f"plural of {_few(plurals)} changed"]
-        names = before.names.items() ^ after.names.items()
-        return [f"synonyms of {_few({label for _, label in names})} changed"] if names else []
+        return LabelChanges(before, after) if before and after else None
 
     def _of_any_labels(self) -> str:
-        return "; ".join([*self.of_labels("objects.csv"), *self.of_labels("rooms.csv")])
+        labels = self.labels
+        return "; ".join([*labels.of_objects(), *labels.of_rooms()]) if labels else ""
 
     def _of_file(self, read: str, before: Any, after: Any) -> str:
         """Counts or scores: hashed pair by pair, so that another label space changes them, too."""
@@ -235,47 +169,6 @@ def joined(causes: Iterable[str]) -> str:
     distinct = list(dict.fromkeys(causes))
     more = len(distinct) - _NAMED
     return "; ".join([*distinct[:_NAMED], *([f"{more} more"] if more > 0 else [])])
-
-
-def _only_one(before: Iterable[str], after: Iterable[str]) -> dict[str, str]:
-    """The label that went and the one that came, where there is one of each."""
-    gone, came = set(before) - set(after), set(after) - set(before)
-    return dict(zip(gone, came, strict=True)) if len(gone) == len(came) == 1 else {}
-
-
-def _of_set(
-    kind: str, before: Iterable[str], after: Iterable[str], renames: Mapping[str, str]
-) -> list[str]:
-    came = set(after) - set(before) - set(renames.values())
-    gone = set(before) - set(after) - set(renames)
-    if len(renames) > 1:
-        return [f"{len(renames):,} {kind}s renamed", *_of_set(kind, gone, came, {})]
-    said = [f"{kind} {old} renamed to {new}" for old, new in renames.items()]
-    for labels, how in ((came, "added"), (gone, "removed")):
-        if labels:
-            said.append(f"{kind}{'s' if len(labels) > 1 else ''} {_few(labels)} {how}")
-    return said
-
-
-def _of_rooms(
-    before: Mapping[str, tuple[str, bool]], after: Mapping[str, tuple[str, bool]]
-) -> list[str]:
-    """How the rows of the same rooms changed."""
-    said = []
-    for predicted, how in ((True, "predicted"), (False, "no longer predicted")):
-        rooms = [r for r, row in after.items() if row[1] is predicted is not before[r][1]]
-        if rooms:
-            said.append(f"room{'s' if len(rooms) > 1 else ''} {_few(rooms)} {how}")
-    articles = [r for r, row in after.items() if row[0] != before[r][0]]
-    if articles:
-        said.append(f"article of {_few(articles)} changed")
-    return said
-
-
-def _few(labels: Iterable[str]) -> str:
-    shown = sorted(labels)
-    more = len(shown) - _NAMED
-    return ", ".join(shown[:_NAMED]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def _short(value: object) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from roomtables.config import ALL, MISSES, NONE
 from roomtables.labels import ObjectLabel
+from roomtables.offline.causes import Comparison, Made
 from roomtables.offline.inputs import Inputs
 from roomtables.offline.stages import (
     ASKING,
@@ -15,7 +16,6 @@ from roomtables.offline.stages import (
     QUERIES,
     QUERY_SCORES,
     SENTENCE_SCORES,
-    STALE,
     Stage,
     StageState,
 )
@@ -26,6 +26,7 @@ from roomtables.sentences import Template
 from roomtables.storage.manifest import Manifest, count_combinations
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
 from roomtables.storage.scratch import scratch
+from roomtables.storage.versions import Version
 
 _PLACE = "\0"  # where objects or the room stand; no label holds a NUL
 _PHRASE = (Column("phrase", "varchar", "a predicted room, with its article"),)
@@ -48,23 +49,25 @@ class Counted:
 
 
 def by_formula(
-    inputs: Inputs, states: Sequence[StageState], published: Manifest | None, kept: bool
+    inputs: Inputs, states: Sequence[StageState], made: Made, kept: Version | None
 ) -> Counted:
     """At most so many sentences: no table is made, and the cache is not looked into.
 
-    What the published version ``kept`` in the cache counts as held where none of its sentences can
-    have changed.
+    ``kept`` is the published version where the cache holds all its scores: of those sources whose
+    sentences cannot have changed its combinations count as held.
     """
     labels, config = inputs.labels, inputs.config
     state = {found.stage: found.state for found in states}
     sentences = dict.fromkeys(ASKING, 0)
     if inputs.scores is None and state[SENTENCE_SCORES] != CACHED:
         sentences[SENTENCE_SCORES] = len(labels.objects) * len(labels.rooms)
-    same_order = state[SENTENCE_SCORES] == CACHED and state["entropy"] != STALE
-    held = published if kept and same_order else None
+    compared = Comparison(Made.of(kept), made) if kept else None
     sources = [PROXY] if inputs.counts is None else [PROXY, GROUND_TRUTH]
     if state[QUERY_SCORES] != CACHED:
-        new = sum(_new_combinations(inputs, source, held) for source in sources)
+        new = 0
+        for source in sources:
+            keeps = kept and compared and compared.keeps_sentences(source)
+            new += _new_combinations(inputs, source, kept.manifest if kept and keeps else None)
         sentences[QUERY_SCORES] = new * len(labels.predicted_rooms)
     combinations = sum(_combinations(inputs, source, 1) for source in sources)
     certain = not any(sentences.values())

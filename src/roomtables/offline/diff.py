@@ -8,8 +8,8 @@ from typing import Any
 
 import duckdb
 
-from roomtables.offline.causes import Comparison, Made, joined
-from roomtables.schemas import GROUND_TRUTH, PROXY, parquet
+from roomtables.offline.causes import DECIDES, Comparison, Made, joined
+from roomtables.schemas import parquet
 from roomtables.storage.database import connect
 from roomtables.storage.manifest import Manifest
 from roomtables.storage.versions import Version
@@ -20,16 +20,6 @@ _SETTINGS = (
 # Numbers (nats, probabilities) that differ by less are equal: sums are not taken in one order
 # everywhere.
 _TOLERANCE = 1e-9
-# What decides the numbers of a source, under the names that stages read it.
-_DECIDES = {
-    PROXY: {
-        "objects.csv", "rooms.csv", "template", "scores", "model", "reduction", "cooccurrence.sql",
-        "entropy.sql",
-    },
-    GROUND_TRUTH: {"rooms.csv", "counts", "smoothing", "cooccurrence.sql", "entropy.sql"},
-}  # fmt: skip
-# Labels that are other ones now; of the version after, none.
-_RENAMED = "create table renamed_{kind} (old varchar, new varchar)"
 # One row per source and object: its entropy and the rooms it speaks for most.
 _OBJECTS = """
 select source, object, any_value(entropy_nats) as entropy_nats,
@@ -139,14 +129,10 @@ def compare(before: Version, after: Version) -> Diff:
     versions = {"before": before, "after": after}
     objects = {when: _from_files(_OBJECTS, version, when) for when, version in versions.items()}
     answers = {when: _from_files(_ANSWERS, version, when) for when, version in versions.items()}
+    labels = compared.labels
     with connect() as connection:
-        for kind, renames in (
-            ("objects", compared.same_objects),
-            ("rooms", compared.renamed_rooms),
-        ):
-            connection.execute(_RENAMED.format(kind=kind))
-            for labels in renames.items():
-                connection.execute(f"insert into renamed_{kind} values (?, ?)", labels)
+        _load_renamed(connection, "objects", labels.same_objects if labels else {})
+        _load_renamed(connection, "rooms", labels.renamed_rooms if labels else {})
         moved = _rows(connection, _MOVED.format(**objects, tolerance=_TOLERANCE))
         combinations = _rows(connection, _COMBINATIONS.format(**answers))
     causes = _causes(compared)
@@ -163,6 +149,15 @@ def compare(before: Version, after: Version) -> Diff:
     )
 
 
+def _load_renamed(
+    connection: duckdb.DuckDBPyConnection, kind: str, renamed: Mapping[str, str]
+) -> None:
+    """Old and new labels, as a table."""
+    connection.execute(f"create table renamed_{kind} (old varchar, new varchar)")
+    for labels in renamed.items():
+        connection.execute(f"insert into renamed_{kind} values (?, ?)", labels)
+
+
 def _causes(compared: Comparison) -> list[tuple[str, str]]:
     """What each stage read that changed, and how, in the order of the stages."""
     stages = compared.after.stages
@@ -176,7 +171,7 @@ def _cause(
     source = row["source"]
     in_both = all(source in version.manifest.combinations for version in versions.values())
     one_side = row["entropy_before"] is None or row["entropy_after"] is None
-    reads = {"objects.csv"} if in_both and one_side else _DECIDES[source]
+    reads = {"objects.csv"} if in_both and one_side else DECIDES[source]
     return joined(cause for read, cause in causes if read in reads) or "scored again"
 
 

@@ -96,8 +96,8 @@ def plan(
         counted = by_cache(inputs, cache, stages)
         states = [_as_counted(stage, counted) for stage in states]
     else:
-        kept = published is not None and is_kept(published, cache)
-        counted = by_formula(inputs, states, published.manifest if published else None, kept)
+        kept = published and not config.full_refresh and is_kept(published, cache)
+        counted = by_formula(inputs, states, made, published if kept else None)
         states = [replace(s, sentences=counted.sentences.get(s.stage, 0)) for s in states]
     return _plan(inputs, cache, published, states, counted)
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 from roomtables.config import MISSES, BuildConfig, default_stages, pipeline_folder
 from roomtables.errors import ConfigError, StoreError
-from roomtables.offline.causes import Comparison, Labels, Made, joined
+from roomtables.offline.causes import Comparison, Made, joined
 from roomtables.offline.inputs import INPUTS, Inputs
+from roomtables.offline.label_changes import Labels
 from roomtables.storage.manifest import SchemaVersionError
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version

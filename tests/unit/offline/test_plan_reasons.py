@@ -410,6 +410,13 @@ def test_the_formula_counts_what_is_held_once(site, k, more):
     assert site.plan().sentences_to_score == more
 
 
+@pytest.mark.parametrize(("change", "sources"), [("counts_come", 1), ("another_reduction", 1)])
+def test_the_formula_counts_the_sources_that_change(site, change, sources):
+    site.build()
+    KINDS[change][0](site)
+    assert site.plan().sentences_to_score == sources * (6 + 4) * 3
+
+
 def test_the_formula_is_the_count_where_nothing_is_held(site):
     found = site.plan()
     assert not found.exact
