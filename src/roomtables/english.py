@@ -10,7 +10,10 @@ from __future__ import annotations
 import csv
 import logging
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -131,11 +134,30 @@ def can_inflect() -> bool:
 
 @cache
 def _engine() -> inflect.engine:
-    # Seconds to import (typeguard): only where a plural or an article is not noted.
-    with needing("deriving a plural or an article"):
+    # Slow to import: only where a plural or an article is not noted.
+    with needing("deriving a plural or an article"), _without_typeguard():
         import inflect
 
     return inflect.engine()
+
+
+@contextmanager
+def _without_typeguard() -> Iterator[None]:
+    """Let inflect's functions be as written: typeguard compiles each anew, which takes seconds.
+
+    What it would check, that words are not empty and are text, is so.
+    """
+    try:
+        typeguard: Any = import_module("typeguard")
+    except ModuleNotFoundError:
+        yield
+        return
+    checked = typeguard.typechecked
+    typeguard.typechecked = lambda function: function
+    try:
+        yield
+    finally:
+        typeguard.typechecked = checked
 
 
 def _ask(question: str, label: str) -> str | None:
