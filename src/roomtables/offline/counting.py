@@ -28,6 +28,8 @@ from roomtables.storage.score_cache import NO_SCORES, SentenceCache
 from roomtables.storage.scratch import scratch
 from roomtables.storage.versions import Version
 
+# More combinations than this are counted by formula only: each would have to be written out.
+MOST_COUNTED = 10_000_000
 _PLACE = "\0"  # where objects or the room stand; no label holds a NUL
 _PHRASE = (Column("phrase", "varchar", "a predicted room, with its article"),)
 

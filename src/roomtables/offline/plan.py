@@ -5,18 +5,19 @@ Nothing is scored and nothing is written under the tables folder.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from roomtables.config import BuildConfig
-from roomtables.offline.counting import Counted, by_cache, by_formula
+from roomtables.offline.counting import MOST_COUNTED, Counted, by_cache, by_formula
 from roomtables.offline.inputs import Inputs, LazyScorer
 from roomtables.offline.stages import (
-    ASKING,
     CACHED,
-    MISSING,
+    SCORE_PART_MISSING,
+    Stage,
     StageState,
     decide,
     is_kept,
@@ -28,6 +29,8 @@ from roomtables.scorer import Scorer
 from roomtables.storage.manifest import Coverage, Rate, count_combinations
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import SpaceFolder, Version
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -92,20 +95,32 @@ def plan(
     states = decide(made, published, cache, config.full_refresh, why_not_built(space))
     if published and all(stage.state == CACHED for stage in states):
         counted = Counted({}, True, sum(published.manifest.combinations.values()))
-    elif exact:
-        counted = by_cache(inputs, cache, stages)
-        states = [_as_counted(stage, counted) for stage in states]
     else:
         kept = published and not config.full_refresh and is_kept(published, cache)
         counted = by_formula(inputs, states, made, published if kept else None)
-        states = [replace(s, sentences=counted.sentences.get(s.stage, 0)) for s in states]
+        if exact and not counted.exact:
+            counted = _looked_up(inputs, cache, stages, counted)
+        states = [_as_counted(stage, counted) for stage in states]
     return _plan(inputs, cache, published, states, counted)
 
 
+def _looked_up(
+    inputs: Inputs, cache: SentenceCache | None, stages: tuple[Stage, ...], bound: Counted
+) -> Counted:
+    """What the cache lacks; of combinations too many to be written out, the upper bound."""
+    if bound.combinations <= MOST_COUNTED:
+        return by_cache(inputs, cache, stages)
+    log.warning(
+        "%s combinations are too many to be looked up one by one; counted by formula",
+        f"{bound.combinations:,}",
+    )
+    return bound
+
+
 def _as_counted(stage: StageState, counted: Counted) -> StageState:
-    """A stage with its sentences; the score part that is missing may have held none of them."""
+    """A stage with its sentences; the score part that is missing held none of some stage's."""
     sentences = counted.sentences.get(stage.stage, 0)
-    if stage.state == MISSING and stage.stage in ASKING and counted.total and not sentences:
+    if stage.why == SCORE_PART_MISSING and counted.total and not sentences:
         return replace(stage, state=CACHED, why="")
     return replace(stage, sentences=sentences)
 

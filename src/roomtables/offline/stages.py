@@ -30,7 +30,7 @@ STAGES = (
 # The stages that ask the language model.
 ASKING = (SENTENCE_SCORES, QUERY_SCORES)
 CACHED, MISSING, STALE = "cached", "missing", "stale"
-NOT_BUILT = "not built"
+NOT_BUILT, SCORE_PART_MISSING = "not built", "score part missing"
 
 
 class Stage(NamedTuple):
@@ -154,7 +154,7 @@ def decide(
         if causes[stage]:
             found.append(StageState(stage, STALE, joined(causes[stage])))
         elif stage in damaged or (stage in ASKING and not kept):
-            found.append(StageState(stage, MISSING, damaged.get(stage, "score part missing")))
+            found.append(StageState(stage, MISSING, damaged.get(stage, SCORE_PART_MISSING)))
         else:
             found.append(StageState(stage, CACHED))
     return found

@@ -389,6 +389,21 @@ def test_other_stages_in_build_toml(site):
     assert (found["entropy"], found["room_bias"]) == ("", "[stages] of build.toml changed")
 
 
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_first_build_makes_every_stage_though_it_asks_for_no_combination(site, exact):
+    site.options["combinations"] = "misses"
+    found = site.plan(exact=exact)
+    assert {(state.state, state.why) for state in found.stages} == {("missing", "not built")}
+    assert found.sentences_to_score == 4 * 4
+
+
+def test_too_many_combinations_are_counted_by_formula_and_that_is_said(site, caplog, monkeypatch):
+    monkeypatch.setattr("roomtables.offline.plan.MOST_COUNTED", 10)
+    found = site.plan(exact=True)
+    assert (found.exact, found.sentences_to_score) == (False, 4 * 4 + (6 + 4) * 3)
+    assert "14 combinations are too many" in caplog.text
+
+
 def test_misses_without_any_publish_nothing_whatever_was_asked_before(site):
     first = site.build()
     site.options["combinations"] = "misses"
