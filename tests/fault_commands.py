@@ -25,6 +25,7 @@ from roomtables import RoomTables, build
 from roomtables.cli import main as command_line
 from roomtables.labels import LabelSpace
 from roomtables.offline import builder, plan, scoring, upkeep  # noqa: F401  (once, before the forks)
+from roomtables.storage.checked import last_checked
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import MANIFEST, SpaceFolder
@@ -37,7 +38,7 @@ _TOLERANCE = 1e-9
 _KEPT = (
     r"labels/.*",
     r"tables/\.build-lock",
-    r"tables/home/CURRENT",
+    r"tables/home/(CURRENT|CHECKED)",
     r"tables/home/misses/(taken\.json|robot\.jsonl)",
     r"tables/scores/[^/]+/part-[0-9a-f]{16}\.parquet",
     r"out/tables\.tar\.zst",
@@ -98,6 +99,7 @@ class Site:
         version = self.space().current()
         version.verify()
         found: dict[str, Any] = {"misses": Misses.read(version.path.parent / FOLDER).open}
+        found["checked"] = last_checked(version) is not None
         found |= {
             path.name: sorted(map(repr_row, pq.read_table(path, use_threads=False).to_pylist()))
             for path in version.path.glob("*.parquet")
@@ -222,6 +224,7 @@ COMMANDS: Mapping[str, Command] = {
         Command("first-build", f"{_BUILD} -k 2", _nothing, published=False),
         Command("build", f"{_BUILD} -k 3", _versions),
         Command("full-refresh", f"{_BUILD} -k 2 --full-refresh", _versions),
+        Command("up-to-date", f"{_BUILD} -k 2", _versions),
         Command("misses", f"{_BUILD} --combinations misses", _misses),
         Command("compact", "compact --tables {tables}", _versions),
         Command("gc", "gc --tables {tables} --keep 1 --unused-scores", _garbage),
@@ -229,6 +232,6 @@ COMMANDS: Mapping[str, Command] = {
             "rollback", "rollback --tables {tables} --labels home", _versions, done=_rolled_back
         ),
         Command("export", "export --tables {tables} --labels home -o {archive}", _versions),
-        Command("plan", "plan --tables {tables} --labels {labels} -k 3", _versions),
+        Command("plan", "plan --exact --tables {tables} --labels {labels} -k 3", _versions),
     )
 }

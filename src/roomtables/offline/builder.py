@@ -8,7 +8,6 @@ and a folder ``.staging-<process>`` (the next build removes it).
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 from roomtables.config import BuildConfig, pipeline_folder
 from roomtables.errors import StoreError
+from roomtables.offline.causes import Made
 from roomtables.offline.engines import score
 from roomtables.offline.inputs import Inputs
 from roomtables.offline.model import LazyScorer
@@ -26,12 +26,13 @@ from roomtables.offline.stages import (
     decide,
     fingerprint,
     listed_stages,
-    recorded_reads,
+    made_from,
 )
 from roomtables.offline.tables import Reads, Tables
 from roomtables.offline.workspace import Workspace, WorkTable, workspace
 from roomtables.schemas import VERSION_TABLES
 from roomtables.scorer import Scorer
+from roomtables.storage.checked import note_checked
 from roomtables.storage.derived_lookup import derive_lookup
 from roomtables.storage.files import build_lock, utc_now
 from roomtables.storage.lookup_writer import LookupSettings
@@ -133,7 +134,7 @@ class _Making:
     """
 
     stages: tuple[Stage, ...]
-    recorded: Mapping[str, Mapping[str, Any]]
+    made: Made
     inputs: Inputs
     model: LazyScorer
     cache: SentenceCache | None
@@ -147,17 +148,20 @@ class _Making:
         cls, stages: tuple[Stage, ...], inputs: Inputs, model: LazyScorer, tables: Path
     ) -> _Making:
         scorer_id = model.scorer_id if inputs.needs_model else None
-        recorded = recorded_reads(stages, inputs, scorer_id)
+        made = made_from(stages, inputs, scorer_id)
         space = SpaceFolder(tables, inputs.labels.name)
         remove_left(space)
         cache = open_cache(tables, scorer_id)
-        return cls(stages, recorded, inputs, model, cache, space, space.published())
+        return cls(stages, made, inputs, model, cache, space, space.published())
 
     def published_already(self) -> Version | None:
-        """The published version, where every stage of it is up to date."""
+        """The published version, where every stage of it is up to date; when that was is noted."""
         refresh = self.inputs.config.full_refresh
-        decided = decide(self.recorded, self.current, self.cache, refresh)
-        return self.current if all(stage.state == CACHED for stage in decided) else None
+        decided = decide(self.made, self.current, self.cache, refresh)
+        if self.current is None or any(stage.state != CACHED for stage in decided):
+            return None
+        note_checked(self.current, utc_now())
+        return self.current
 
     def publish(self, started: float, progress: bool) -> Version:
         """Make every table aside, check them, and publish them as a version."""
@@ -178,7 +182,7 @@ class _Making:
                 )
             seconds = round(time.monotonic() - started, 3)
             manifest = self._manifest(staging, rows, dict(combinations), seconds)
-            name = self.space.new_name(fingerprint(self.recorded))
+            name = self.space.new_name(fingerprint(self.made.stages))
             return self.space.publish(staging, name, manifest)
 
     def _write_out(self, tables: Tables, reads: Reads, staging: Path) -> None:
@@ -219,7 +223,7 @@ class _Making:
             created=utc_now(),
             seconds=seconds,
             settings=inputs.config,
-            stages=self.recorded,
+            stages=self.made.stages,
             scorer_id=str(imported or scorer_id),
             query_scorer_id=scorer_id,
             model=self.model.describe() or (self._same_model_before("model") or {}),
