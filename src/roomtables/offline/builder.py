@@ -31,11 +31,13 @@ from roomtables.offline.tables import Reads, Tables
 from roomtables.offline.workspace import Workspace, WorkTable, workspace
 from roomtables.schemas import VERSION_TABLES
 from roomtables.scorer import Scorer
+from roomtables.storage.client_databases import write_anew
 from roomtables.storage.derived_lookup import derive_lookup
 from roomtables.storage.files import build_lock, utc_now
 from roomtables.storage.lookup_writer import LookupSettings
 from roomtables.storage.manifest import FileFacts, Manifest, Rate
 from roomtables.storage.removal import remove_left, remove_old
+from roomtables.storage.samples import write_samples
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
@@ -97,6 +99,7 @@ def build(
             version = making.publish(started, progress)
             remove_old(making.space)
         making.inputs.asked.take_in_misses()
+        write_anew(Path(tables))
     return BuildReport(
         version.manifest.labels,
         version.name,
@@ -185,6 +188,7 @@ class _Making:
         _run_checks(tables.workspace)
         for name in VERSION_TABLES:
             tables.workspace.export(reads.table(name), staging)
+        write_samples(staging)
         settings = {name: reads.value(name) for name in LookupSettings._fields}
         derive_lookup(staging, self.inputs.labels, LookupSettings(**settings))
 
