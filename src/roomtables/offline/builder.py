@@ -39,6 +39,7 @@ from roomtables.storage.manifest import FileFacts, Manifest, Rate
 from roomtables.storage.removal import remove_left, remove_old
 from roomtables.storage.samples import write_samples
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
+from roomtables.storage.spaces import publish_labels
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 _SHOWN_ROWS = 3
@@ -90,7 +91,7 @@ def build(
     """
     started = time.monotonic()
     config = config.changed(**options) if config else BuildConfig.load(**options)
-    stages, inputs = listed_stages(config), Inputs.read(config)
+    stages, inputs = listed_stages(config), Inputs.read(config, Path(tables))
     model = LazyScorer(config, scorer)
     with build_lock(Path(tables), wait):
         making = _Making.prepare(stages, inputs.and_misses(Path(tables)), model, Path(tables))
@@ -189,6 +190,7 @@ class _Making:
         for name in VERSION_TABLES:
             tables.workspace.export(reads.table(name), staging)
         write_samples(staging)
+        publish_labels(self.inputs.labels, staging)
         settings = {name: reads.value(name) for name in LookupSettings._fields}
         derive_lookup(staging, self.inputs.labels, LookupSettings(**settings))
 

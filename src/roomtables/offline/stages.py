@@ -153,7 +153,7 @@ def _changed(
 def _damaged(version: Version) -> dict[str, str]:
     """Stages whose published files are not as noted, and how."""
     return {
-        LOOKUP if name.startswith(f"{LOOKUP}/") else Path(name).stem: how
+        Path(name).stem if name.endswith(".parquet") else LOOKUP: how
         for name, how in version.damaged_files()
     }
 
