@@ -31,7 +31,7 @@ from roomtables.storage.files import held
 from roomtables.storage.joined import JoinedFile, allowed, parse_joined, prefer_joined
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import SpaceFolder, Version
-from roomtables.storage.views import connect, select
+from roomtables.storage.views import SENTENCE_SCORES, connect, select, verify_scores
 
 # How DuckDB's shell prints each format; `table` is its own.
 _MODES = {"table": (), "json": ("-json",), "jsonl": ("-jsonlines",), "csv": ("-csv",)}
@@ -91,6 +91,10 @@ def sql_command(
     version = space.current()
     holding = held(version.path, *space.versions(), *(tables / SCORES).glob("*"))
     click.get_current_context().with_resource(holding)
+    # Whoever reads the scores reads them whole, so they are compared whole, and only then.
+    if verify or query is None or SENTENCE_SCORES in query.casefold():
+        with needing("SQL"):
+            verify_scores(tables)
     if database is not None:
         _write_database(ClientDatabase.at(database, joined), tables, space, version, verify)
     elif query is not None:

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError, first_line, needing
@@ -38,6 +38,10 @@ from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.refusals import refusal
 from roomtables.storage.versions import SpaceFolder, Version
 
+if TYPE_CHECKING:
+    from roomtables.storage.score_parts import Part
+
+SENTENCE_SCORES = "sentence_scores"
 Rows = tuple[list[str], list[tuple[Any, ...]]]
 
 _READS = "SQL must be one statement that reads: select, from, describe, show"
@@ -88,7 +92,7 @@ def create_views(
     tables : the tables folder
     version : the published version
     joined : files to create views of, too; in schema ``joined`` where a table has the name
-    verify : read and compare every byte of the tables and of the scores
+    verify : read and compare every byte of the tables
 
     Raises
     ------
@@ -99,7 +103,7 @@ def create_views(
     """
     space = SpaceFolder(version.path.parent.parent, version.path.parent.name)
     versions = published_versions(space, version, verify)
-    for view in _tables(version, tables, verify):
+    for view in _tables(version, tables):
         _create(connection, view)
     for view in (*version_views(versions, version), evaluations_view(space)):
         _create(connection, view)
@@ -157,11 +161,11 @@ def _words_of_macros() -> frozenset[str]:
     return frozenset[str]().union(*map(_words, _paths("macros")))
 
 
-def _tables(version: Version, tables: Path, verify: bool) -> Iterator[View]:
+def _tables(version: Version, tables: Path) -> Iterator[View]:
     for name in VERSION_TABLES:
         path = version.path.resolve() / f"{name}.parquet"
         yield View(name, f"from {parquet(path)}", TABLE_BY_NAME[name].grain)
-    yield _sentence_scores(tables, verify)
+    yield _sentence_scores(tables)
     settings = version.manifest.settings
     yield View(
         "decision",
@@ -172,17 +176,29 @@ def _tables(version: Version, tables: Path, verify: bool) -> Iterator[View]:
     )
 
 
-def _sentence_scores(tables: Path, verify: bool) -> View:
+def verify_scores(tables: Path) -> None:
+    """Compare every part of the sentence scores with its name, which is a hash of its content.
+
+    Raises
+    ------
+    StoreError
+        A part is damaged.
+    """
+    for part in _score_parts(tables):
+        part.verify()
+
+
+def _score_parts(tables: Path) -> list[Part]:
     from roomtables.storage.score_parts import all_parts, live_parts  # brings pyarrow
 
     folders = [path for path in listed(tables / SCORES) if path.is_dir() and path.name[0] != "."]
-    parts = [part for folder in folders for part in live_parts(all_parts(folder))]
-    if verify:
-        for part in parts:
-            part.verify()
-    table = TABLE_BY_NAME["sentence_scores"]
+    return [part for folder in folders for part in live_parts(all_parts(folder))]
+
+
+def _sentence_scores(tables: Path) -> View:
+    table = TABLE_BY_NAME[SENTENCE_SCORES]
     empty = ", ".join(f"null::{c.type} as {c.name}" for c in table.columns)
-    files = [part.path.resolve() for part in parts]
+    files = [part.path.resolve() for part in _score_parts(tables)]
     held = f"from {parquet(*files)}" if files else f"select {empty} where false"
     return View(table.name, held, table.grain)
 
