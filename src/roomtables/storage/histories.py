@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from roomtables.errors import StoreError, first_line
-from roomtables.schemas import TABLE_BY_NAME, literal, parquet
+from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES, literal, parquet
 from roomtables.storage.files import listed, refuse_outside
 from roomtables.storage.misses import Misses
 from roomtables.storage.samples import check_parquet
@@ -40,19 +40,28 @@ def published_versions(space: SpaceFolder, current: Version, verify: bool) -> li
         A Parquet file of the published version is damaged. (Another version that is damaged, or of
         another schema version, is left out with a warning.)
     """
-    check_parquet(current, verify)
+    _check(current, verify)
     found = [current]
     for path in space.versions():
         if path.name == current.name:
             continue
         try:
             other = Version.open(path)
-            check_parquet(other, verify)
+            _check(other, verify)
         except StoreError as error:
             log.warning("left out of the views of versions: %s", error)
             continue
         found.append(other)
     return sorted(found, key=lambda version: version.name)
+
+
+def _check(version: Version, verify: bool) -> None:
+    if not {f"{name}.parquet" for name in VERSION_TABLES} <= version.manifest.files.keys():
+        raise StoreError(
+            f"{version.path} holds no Parquet tables, as those packed by `export`; run "
+            "`roomtables sql` where they were built"
+        )
+    check_parquet(version, verify)
 
 
 def version_views(versions: Sequence[Version], current: Version) -> Iterator[View]:
