@@ -85,7 +85,8 @@ class ClientDatabase(NamedTuple):
         with writing(folder):
             folder.mkdir(exist_ok=True)
         joined = {file.name: str(file.path) for file in self.joined}
-        content = {"database": str(self.path), "with": joined}
+        place = str(space.path.resolve())
+        content = {"database": str(self.path), "with": joined, "tables": place}
         write_aside(self._note(space), json.dumps(content, ensure_ascii=False).encode())
 
     def forget(self, space: SpaceFolder) -> None:
@@ -120,16 +121,17 @@ def new_database(
 def write_anew(tables: Path) -> None:
     """Write all databases anew that were asked for of any label space of a tables folder.
 
-    One that cannot be written is a warning; one that was removed is forgotten.
+    One that cannot be written is a warning. One that was removed is forgotten, and so is one that
+    was asked for of tables in another place, of which these are a copy.
     """
     for labels in published_labels(tables):
         space = SpaceFolder(tables, labels)
-        noted = list(_noted(space))
-        if not noted:
-            continue
-        for database in noted:
+        for database, place in list(_noted(space)):
             try:
-                if database.path.exists():
+                if place != space.path.resolve():
+                    log.warning("%s shows %s, and is not written anew", database.path, place)
+                    database.forget(space)
+                elif database.path.exists():
                     database.write(tables, space.current())
                 else:
                     log.warning("%s is gone, and is written anew no more", database.path)
@@ -138,15 +140,18 @@ def write_anew(tables: Path) -> None:
                 log.warning("%s is not written anew: %s", database.path, first_line(error))
 
 
-def _noted(space: SpaceFolder) -> Iterator[ClientDatabase]:
-    """The databases that were asked for; a note that cannot be read is a warning."""
+def _noted(space: SpaceFolder) -> Iterator[tuple[ClientDatabase, Path]]:
+    """The databases that were asked for, each with the label space's folder that it shows.
+
+    A note that cannot be read is a warning.
+    """
     for note in listed(space.path / FOLDER):
         if note.suffix != ".json" or note.name[0] == ".":
             continue
         try:
             value: Any = json_value(read_bytes(note, JSON_BYTES))
-            joined = [JoinedFile(name, Path(path)) for name, path in value["with"].items()]
-            yield ClientDatabase(Path(value["database"]), tuple(joined))
+            joined = tuple(JoinedFile(name, Path(path)) for name, path in value["with"].items())
+            yield ClientDatabase(Path(value["database"]), joined), Path(value["tables"])
         except (OSError, MalformedError, LookupError, AttributeError, TypeError) as error:
             log.warning("%s names no database: %s", note, first_line(error))
 

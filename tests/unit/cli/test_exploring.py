@@ -164,7 +164,8 @@ def test_a_database_is_written_and_noted(tmp_path):
     assert str(database) in found.stdout
     assert database.is_file()
     (note,) = (folder / "flat" / "databases").iterdir()
-    assert json.loads(note.read_text()) == {"database": str(database), "with": {}}
+    noted = {"database": str(database), "with": {}, "tables": str(folder / "flat")}
+    assert json.loads(note.read_text()) == noted
     (tmp_path / "mine.txt").write_text("x")
     found = run(folder, "--db", str(tmp_path / "mine.txt"))
     assert found.exit_code == 1

@@ -4,6 +4,7 @@ import json
 import logging
 import multiprocessing
 import os
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -153,6 +154,19 @@ def test_what_cannot_be_written_anew_is_one_warning(tables, folder, caplog, monk
     caplog.clear()
     write_anew(tables)
     assert "is gone" not in caplog.text
+
+
+def test_a_copy_of_the_tables_leaves_the_database_alone(tables, folder, caplog):
+    database = ClientDatabase.at(Path("rooms.duckdb"))
+    database.write(tables, current(tables))
+    database.note(SpaceFolder(tables, "flat"))
+    before = database.path.read_bytes()
+    shutil.copytree(tables, "copied")
+    with caplog.at_level(logging.WARNING):
+        write_anew(Path("copied"))
+        write_anew(Path("copied"))
+    assert caplog.text.count("is not written anew") == 1
+    assert database.path.read_bytes() == before
 
 
 def test_a_joined_file_that_went_is_one_warning(tables, folder, caplog):
