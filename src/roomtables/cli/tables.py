@@ -40,7 +40,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 _OPTIONS = (
     click.option("--config", type=_FILE, help="A build.toml; options win over it."),
     click.option(
-        "--labels", help=f"Label space: a built-in name, or a folder.  [default: {DEFAULT_LABELS}]"
+        "--labels", help=f"Label space: a name, or its folder.  [default: {DEFAULT_LABELS}]"
     ),
     click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
     click.option("--revision", help="Branch, tag or commit of a hub model."),

@@ -26,7 +26,7 @@ from roomtables.storage.files import sha256_of
 
 DEVICE_CLASSES = ("cpu", "cuda")
 DEVICES = (*DEVICE_CLASSES, "auto")
-# Device files of GPUs: NVIDIA's (Jetson's, and under Windows, too) and AMD's.
+
 # Written by a library that saved the files, without any bearing on a score.
 _VOLATILE = {
     "transformers_version",

@@ -33,12 +33,15 @@ from roomtables.offline.workspace import Workspace, WorkTable, workspace
 from roomtables.schemas import VERSION_TABLES
 from roomtables.scorer import Scorer
 from roomtables.storage.checked import note_checked
+from roomtables.storage.client_databases import write_anew
 from roomtables.storage.derived_lookup import derive_lookup
 from roomtables.storage.files import build_lock, utc_now
 from roomtables.storage.lookup_writer import LookupSettings
 from roomtables.storage.manifest import FileFacts, Manifest, Rate
 from roomtables.storage.removal import remove_left, remove_old
+from roomtables.storage.samples import write_samples
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
+from roomtables.storage.spaces import publish_labels
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 _SHOWN_ROWS = 3
@@ -90,7 +93,7 @@ def build(
     """
     started = time.monotonic()
     config = config.changed(**options) if config else BuildConfig.load(**options)
-    stages, inputs = listed_stages(config), Inputs.read(config)
+    stages, inputs = listed_stages(config), Inputs.read(config, Path(tables))
     model = LazyScorer(config, scorer)
     with build_lock(Path(tables), wait):
         making = _Making.prepare(stages, inputs.and_misses(Path(tables)), model, Path(tables))
@@ -99,6 +102,7 @@ def build(
             version = making.publish(started, progress)
             remove_old(making.space)
         making.inputs.asked.take_in_misses()
+        write_anew(Path(tables))
     return BuildReport(
         version.manifest.labels,
         version.name,
@@ -190,6 +194,8 @@ class _Making:
         _run_checks(tables.workspace)
         for name in VERSION_TABLES:
             tables.workspace.export(reads.table(name), staging)
+        write_samples(staging)
+        publish_labels(self.inputs.labels, staging)
         settings = {name: reads.value(name) for name in LookupSettings._fields}
         derive_lookup(staging, self.inputs.labels, LookupSettings(**settings))
 

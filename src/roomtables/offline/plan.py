@@ -85,7 +85,7 @@ def plan(
     """
     config = config.changed(**options) if config else BuildConfig.load(**options)
     root, stages = Path(tables), listed_stages(config)
-    inputs = Inputs.read(config).and_misses(root)
+    inputs = Inputs.read(config, root).and_misses(root)
     scorer_id = LazyScorer(config, scorer).scorer_id if inputs.needs_model else None
     cache = SentenceCache(root, scorer_id) if scorer_id else None
     if cache:

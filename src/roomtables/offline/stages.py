@@ -178,7 +178,7 @@ def why_not_built(space: SpaceFolder) -> str:
 def _damaged(version: Version) -> dict[str, str]:
     """Stages whose published files are not as noted, and how."""
     return {
-        LOOKUP if name.startswith(f"{LOOKUP}/") else Path(name).stem: (
+        Path(name).stem if name.endswith(".parquet") else LOOKUP: (
             f"{name} {'missing' if how == 'removed' else how}"
         )
         for name, how in version.damaged_files()
