@@ -16,6 +16,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.completion import complete_labels
 from roomtables.config import DEFAULT_LABELS, ENGINES, BuildConfig
 from roomtables.errors import needing
 from roomtables.schemas import REDUCTIONS
@@ -38,7 +39,9 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 _OPTIONS = (
     click.option("--config", type=_FILE, help="A build.toml; options win over it."),
     click.option(
-        "--labels", help=f"Label space: a built-in name, or a folder.  [default: {DEFAULT_LABELS}]"
+        "--labels",
+        shell_complete=complete_labels,
+        help=f"Label space: a built-in name, or a folder.  [default: {DEFAULT_LABELS}]",
     ),
     click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
     click.option("--revision", help="Branch, tag or commit of a hub model."),

@@ -19,6 +19,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.completion import complete_versions
 from roomtables.cli.printing import as_json, echo
 from roomtables.errors import StoreError
 from roomtables.storage.removal import KEPT_VERSIONS
@@ -198,8 +199,8 @@ def rollback(tables: Path, labels: str | None, format_: str) -> None:
 
 
 @click.command()
-@click.argument("before", required=False)
-@click.argument("after", required=False)
+@click.argument("before", required=False, shell_complete=complete_versions)
+@click.argument("after", required=False, shell_complete=complete_versions)
 @tables_option
 @labels_option
 @click.option("--top", type=click.IntRange(min=0), default=20, show_default=True, help="Objects.")

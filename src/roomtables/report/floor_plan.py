@@ -19,6 +19,7 @@ from roomtables.labels import normalise
 from roomtables.report.text import drawn
 from roomtables.scenes.scene import Box, Point, Scene, SceneRoom
 from roomtables.storage.files import write_aside
+from roomtables.wording import percent
 
 _SUFFIXES = (".html", ".png", ".svg")
 _RIGHT, _WRONG, _UNJUDGED = "#1b7f3b", "#c0392b", "#4a6fa5"
@@ -182,7 +183,7 @@ def _caption(room: SceneRoom, answers: Answers) -> str:
         return f"{room.room_id}\n{truth or 'no answer'}"
     label, probability = answers[room.room_id]
     wrong = f"\n(true: {truth})" if _is_right(room, answers) is False else ""
-    return f"{room.room_id}\n{label} {probability:.0%}{wrong}"
+    return f"{room.room_id}\n{label} {percent(probability, 0)}{wrong}"
 
 
 def _page(name: str, rooms: Sequence[SceneRoom], answers: Answers, picture: str) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from roomtables.wording import percent
+
 STYLE = """
 :root { color-scheme: light; --line: #d8dde3; --ink: #1c2733; }
 body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); margin: 0 auto; max-width: 1180px;
@@ -66,7 +68,8 @@ class Bar(float):
 
 def _cell(value: object) -> str:
     if isinstance(value, Bar):
-        return f'<td class="bar"><i style="width:{100 * value:.1f}%"></i><b>{value:.1%}</b></td>'
+        bar = f'<i style="width:{100 * value:.1f}%"></i><b>{percent(value)}</b>'
+        return f'<td class="bar">{bar}</td>'
     if isinstance(value, int | float):
         text = f"{value:,}" if isinstance(value, int) else f"{value:.3f}"
         return f'<td class="n">{text}</td>'

@@ -17,6 +17,7 @@ from roomtables.report import html
 from roomtables.report.html import Bar
 from roomtables.rooms import Room
 from roomtables.storage.views import connect, select
+from roomtables.wording import counts, percent
 
 _SHOWN = 15
 _SIGNATURES = 6
@@ -149,23 +150,31 @@ def _results(tables: RoomTables, rooms: Sequence[Room]) -> list[Section]:
     interval = found.statistics()["accuracy_interval"]
     baselines, answered = found.baselines(), found.as_json()["answered_by"]
     headline = html.paragraph(
-        f"{found.correct} of {found.rooms} rooms right: {found.accuracy:.1%} (95 % interval "
-        f"{interval['low']:.1%} to {interval['high']:.1%}), macro {found.macro_accuracy:.1%}, "
-        f"right among the top 3 {found.top_accuracy:.1%}; always the most frequent room "
-        f"{baselines['majority']:.1%}, a uniform guess {baselines['uniform']:.1%}. "
+        f"{found.correct} of {found.rooms} rooms right: {percent(found.accuracy)} (95 % interval "
+        f"{percent(interval['low'])} to {percent(interval['high'])}), "
+        f"macro {percent(found.macro_accuracy)}, "
+        f"right among the top 3 {percent(found.top_accuracy)}; always the most frequent room "
+        f"{percent(baselines['majority'])}, a uniform guess {percent(baselines['uniform'])}. "
         f"{_decision_text(tables.decision)}."
     )
     per_room = html.table(
-        ("room", "rooms", "right", "accuracy"),
+        ("room", "rooms", "right", "accuracy", "unanswered", "backed off"),
         (
-            (room, row["rooms"], row["correct"], Bar(row["accuracy"]))
+            (
+                room,
+                row["rooms"],
+                row["correct"],
+                Bar(row["accuracy"]),
+                row["unanswered"],
+                row["backed_off"],
+            )
             for room, row in found.per_room().items()
         ),
     )
-    skipped = ", ".join(f"{why}: {n}" for why, n in found.skipped.items()) or "none"
     coverage = html.paragraph(
-        f"Answered by: {', '.join(f'{by} {n}' for by, n in sorted(answered.items()))}; left out: "
-        f"{skipped}. Names that no table knows: {_unknown(found)}."
+        f"Answered by: {counts(answered)}; backed off to rule pooled: {found.backed_off}; "
+        f"unanswered, counted as wrong: {counts(found.unanswered)}; left out: "
+        f"{counts(found.skipped)}. Names that no table knows: {_unknown(found)}."
     )
     calibration = html.paragraph(
         f"Expected calibration error {expected_calibration_error(found.reliability()):.3f}; mean "
