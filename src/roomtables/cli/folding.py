@@ -16,7 +16,8 @@ import click
 
 _GAP = 2  # characters between two columns
 _LEAST = 40  # characters that a table may always take
-_FOLDED = 30  # a column whose longest word is shorter is folded no further than to that word
+_FOLDED = 30  # to less than this no column is folded whose words are longer
+_LIST = ", "  # between the parts of a list
 _TIED = "\xa0"  # a space at which no line is broken
 
 Row = Sequence[str]
@@ -39,11 +40,16 @@ class Grid:
         """Characters of a line."""
         return _width(self.widths)
 
-    @property
-    def least_widths(self) -> list[int]:
-        """What each column can be folded to: its name is never broken, a very long word is."""
+    def least_widths(self, between: str | None = None) -> list[int]:
+        """What each column can be folded to, ``between`` words or the parts of a list.
+
+        Its name is never broken; of its cells what is longer than ``_FOLDED`` is.
+        """
         return [
-            max(len(name), min(_FOLDED, max(_longest_word(cell) for cell in (name, *cells))))
+            max(
+                len(name),
+                min(_FOLDED, max(_longest_part(cell, between) for cell in (name, *cells))),
+            )
             for name, *cells in self._columns()
         ]
 
@@ -64,7 +70,9 @@ class Grid:
 
     def folded(self, width: int) -> Grid:
         """The table with the cells of its widest columns folded, so that a line has the width."""
-        widths, least = self.widths, self.least_widths
+        widths, least = self.widths, self.least_widths(_LIST)
+        if _width(least) > width:
+            least = self.least_widths()
         while _width(widths) > width and widths != least:
             room = [have - need for have, need in zip(widths, least, strict=True)]
             widest = max((w for w, r in zip(widths, room, strict=True) if r), default=0)
@@ -110,7 +118,7 @@ def fit(
     left_out: list[str] = []
     order = [*(name for name in reversed(beneath) if name in grid.names), *reversed(grid.names[1:])]
     for name in order:
-        if _width(grid.least_widths) <= width:
+        if _width(grid.least_widths()) <= width:
             break
         if name in grid.names:
             left_out.append(name)
@@ -139,14 +147,16 @@ def _longest(cell: str) -> int:
     return max(map(len, cell.split("\n")))
 
 
-def _longest_word(cell: str) -> int:
-    return max(map(len, cell.split()), default=0)
+def _longest_part(cell: str, between: str | None) -> int:
+    """Characters of the longest part of a list, with its comma, or the longest word."""
+    parts = cell.split(between)
+    return max(map(len, parts), default=0) + (between is not None and len(parts) > 1)
 
 
 def _fold(cell: str, width: int) -> str:
     """A cell on several lines, broken between the parts of a list where that does, else words."""
     if len(cell) <= width:
         return cell
-    parts = (p.replace(" ", _TIED) if len(p) < width else p for p in cell.split(", "))
-    lines = textwrap.wrap(", ".join(parts), width, break_on_hyphens=False)
+    parts = (p.replace(" ", _TIED) if len(p) < width else p for p in cell.split(_LIST))
+    lines = textwrap.wrap(_LIST.join(parts), width, break_on_hyphens=False)
     return "\n".join(lines).replace(_TIED, " ") or cell

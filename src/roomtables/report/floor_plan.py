@@ -190,18 +190,22 @@ def _page(name: str, rooms: Sequence[SceneRoom], answers: Answers, picture: str)
     svg = picture[picture.index("<svg") :]
     rows = "\n".join(_row(room, answers) for room in rooms)
     return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{html.escape(name)}</title>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html.escape(name)}</title>
 <style>
-body {{ font-family: sans-serif; margin: 2em; }}
+body {{ font-family: sans-serif; margin: 4vw; }}
 svg {{ max-width: 100%; height: auto; }}
 td, th {{ text-align: left; padding: 0.2em 1em 0.2em 0; vertical-align: top; }}
+td {{ overflow-wrap: anywhere; }}
+div {{ overflow-x: auto; }}
 </style></head><body>
 <h1>{html.escape(name)}</h1>
 {svg}
-<table>
+<div><table>
 <tr><th>room</th><th>answer</th><th>probability</th><th>truth</th><th>objects</th></tr>
 {rows}
-</table></body></html>
+</table></div></body></html>
 """
 
 

@@ -29,9 +29,16 @@ th { font-weight: 600; background: #fff; } td.n { text-align: right; }
 .bar { position: relative; min-width: 170px; } .bar i { position: absolute; inset: 4px auto 4px 0;
   background: #bcd3f2; border-radius: 2px; } .bar b { position: relative; font-weight: 400;
   padding-left: 4px; }
-.columns { display: grid; grid-template-columns: repeat(auto-fit, minmax(420px, 1fr));
-  gap: 0 32px; }
+.columns { display: grid; gap: 0 32px;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 420px), 1fr)); }
+.columns > div { min-width: 0; }
+.wide { overflow-x: auto; }
 svg { max-width: 100%; height: auto; }
+@media (max-width: 600px) {
+  body { padding: 0 12px 48px; } nav a { display: inline-block; padding: 4px 0; }
+  th, td { padding: 3px 5px; overflow-wrap: anywhere; } .bar { min-width: 84px; }
+  .heat th, .heat td { overflow-wrap: normal; }
+}
 """
 
 
@@ -56,10 +63,14 @@ def paragraph(text: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; numbers stand to the right, :class:`Bar` cells are drawn."""
+    """A table; numbers stand to the right, :class:`Bar` cells are drawn.
+
+    On a narrow screen cells break their lines, and what is wider still scrolls by itself.
+    """
     heads = "".join(f"<th>{escape(name)}</th>" for name in head)
     lines = "\n".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
-    return f"<table><thead><tr>{heads}</tr></thead><tbody>\n{lines}\n</tbody></table>\n"
+    whole = f"<table><thead><tr>{heads}</tr></thead><tbody>\n{lines}\n</tbody></table>"
+    return f'<div class="wide">{whole}</div>\n'
 
 
 class Bar(float):
