@@ -31,7 +31,8 @@ def _summary(found: Evaluation) -> str:
     answered_by = found.as_json()["answered_by"]
     return (
         f"{found.correct} of {found.rooms} rooms right: {percent(found.accuracy)} "
-        f"(macro {percent(found.macro_accuracy)}), rule {found.rule}, source {found.source}\n"
+        f"(macro {percent(found.macro_accuracy)})\n"
+        f"rule {found.rule}, source {found.source}\n"
         f"95 % interval {_interval(statistics['accuracy_interval'])}; "
         f"right among the top 3: {percent(statistics['top_3_accuracy'])}\n"
         f"expected calibration error {statistics['expected_calibration_error']:.3f}; baselines: "
