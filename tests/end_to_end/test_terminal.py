@@ -13,9 +13,10 @@ from tiny_tables import write_labels
 NAMES = {
     "classify": {"room_id", "room", "reason", "probability", "objects", "unknown_objects", "rule",
                  "source", "answered_by", "read_as"},
-    "compare": {"condition", "correct", "accuracy", "95 % interval", "macro", "top 3",
+    "compare": {"condition", "rooms", "correct", "accuracy", "95 % interval", "macro", "top 3",
                 "calibration error", "unanswered", "backed off"},
-    "sweep": {"source", "rule", "k", "λ", "γ", "correct", "accuracy", "unanswered"},
+    "sweep": {"reduction", "source", "rule", "k", "λ", "γ", "rooms", "correct", "accuracy",
+              "unanswered"},
     "status": {"what", "value"},
     "labels": {"kind", "label", "in_a_sentence", "synonyms", "predicted"},
 }  # fmt: skip

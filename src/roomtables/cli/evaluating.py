@@ -19,7 +19,7 @@ from roomtables.cli.common import (
 )
 from roomtables.cli.evaluation_text import comparison_text, evaluation_text, sweep_text
 from roomtables.cli.names import NameReport
-from roomtables.cli.printing import as_json, echo
+from roomtables.cli.printing import echo
 from roomtables.evaluation import Evaluation, evaluate
 from roomtables.evaluation.comparison import compare, parse_conditions
 from roomtables.evaluation.saving import save
@@ -77,23 +77,20 @@ def evaluate_command(
         check_evaluation_name(name)
     asked = parse_conditions(conditions) if conditions else ()
     opened = RoomTables.open(tables, labels, **decision)
-    as_text = format_ != "json"
     if sweeps:
         swept = sweep(rooms_file, opened)
-        emit(sweep_text(swept, format_) if as_text else as_json(swept.as_json()), output)
+        emit(sweep_text(swept, format_), output)
         _draw("sweep", swept, plot)
         return
     if asked:
         compared = compare(rooms_file, opened, asked, weights)
-        text = comparison_text(compared, format_) if as_text else as_json(compared.as_json())
+        emit(comparison_text(compared, format_), output)
         evaluations = compared.evaluations
     else:
         found = evaluate(rooms_file, opened, weights)
         _report_names(opened, found)
-        json_ = found.as_json(statistics=statistics)
-        text = evaluation_text(found, format_) if as_text else as_json(json_)
+        emit(evaluation_text(found, format_, statistics), output)
         evaluations = (found,)
-    emit(text, output)
     if name is not None:
         _save(evaluations, opened, name)
     _draw("per_room", evaluations, plot)

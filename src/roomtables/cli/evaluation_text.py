@@ -1,4 +1,4 @@
-"""Evaluations, comparisons and sweeps as text for people, and as rows of CSV."""
+"""Evaluations, comparisons and sweeps as text for people, as JSON, and as rows of CSV."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from roomtables.cli.common import render
+from roomtables.cli.printing import as_json
 from roomtables.evaluation import Evaluation
 from roomtables.evaluation.comparison import Comparison, PairedTest
 from roomtables.evaluation.sweeping import Sweep
@@ -17,8 +18,13 @@ _LEAST_OF_CONDITION = ("rooms", "calibration error", "top 3", "macro", "correct"
 _LEAST_OF_POINT = ("reduction", "rooms", "unanswered")
 
 
-def evaluation_text(found: Evaluation, format_: str) -> str:
-    """One evaluation: a summary and a table of the rooms, or the latter as CSV."""
+def evaluation_text(found: Evaluation, format_: str, statistics: bool) -> str:
+    """One evaluation: a summary and a table of the rooms, the latter as CSV, or JSON.
+
+    ``statistics`` asks for those in JSON, too.
+    """
+    if format_ == "json":
+        return as_json(found.as_json(statistics=statistics))
     rows = [{"room": label, **row} for label, row in found.per_room().items()]
     if format_ == "csv":
         return render(rows, "csv")
@@ -52,6 +58,8 @@ def comparison_text(compared: Comparison, format_: str) -> str:
 
     CSV has the first alone.
     """
+    if format_ == "json":
+        return as_json(compared.as_json())
     if format_ == "csv":
         return render([_condition_record(found) for found in compared.evaluations], "csv")
     conditions = [_condition_row(found) for found in compared.evaluations]
@@ -110,14 +118,16 @@ def _test_row(test: PairedTest) -> dict[str, Any]:
         "second": test.second,
         "difference": percent(test.difference, signed=True),
         "95 % interval": f"{low} to {high}",
-        "only first right": test.only_first,
-        "only second right": test.only_second,
+        "only first": test.only_first,
+        "only second": test.only_second,
         "McNemar p": f"{test.p_value:.2g}",
     }
 
 
 def sweep_text(swept: Sweep, format_: str) -> str:
     """A table of the settings, and a line for each thing that was not varied; CSV has no lines."""
+    if format_ == "json":
+        return as_json(swept.as_json())
     if format_ == "csv":
         return render([asdict(point) for point in swept.points], "csv")
     rows = [

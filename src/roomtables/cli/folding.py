@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import click
 
 _GAP = 2  # characters between two columns
+_PADDING = 2  # characters that tabulate leaves behind a column's name
 _LEAST = 40  # characters that a table may always take
 _FOLDED = 30  # to less than this no column is folded whose words are longer
 _LIST = ", "  # between the parts of a list
@@ -33,7 +34,9 @@ class Grid:
     @property
     def widths(self) -> list[int]:
         """Characters of each column."""
-        return [max(map(_longest, column)) for column in self._columns()]
+        return [
+            max(len(name) + _PADDING, *map(_longest, cells), 0) for name, *cells in self._columns()
+        ]
 
     @property
     def width(self) -> int:
@@ -45,13 +48,11 @@ class Grid:
 
         Its name is never broken; of its cells what is longer than ``_FOLDED`` is.
         """
-        return [
-            max(
-                len(name),
-                min(_FOLDED, max(_longest_part(cell, between) for cell in (name, *cells))),
-            )
-            for name, *cells in self._columns()
-        ]
+        widths = []
+        for name, *cells in self._columns():
+            longest = max((_longest_part(cell, between) for cell in cells), default=0)
+            widths.append(max(len(name) + _PADDING, min(_FOLDED, longest)))
+        return widths
 
     def without(self, *names: str) -> Grid:
         """The table without some columns."""
@@ -124,7 +125,8 @@ def fit(
             left_out.append(name)
             grid = grid.without(name)
     if left_out:
-        lines.append(f"not shown: {', '.join(left_out)} (a wider terminal or a pipe has them)")
+        told = f"not shown: {', '.join(left_out)} (a wider terminal or a pipe has them)"
+        lines += textwrap.wrap(told, width)
     return [grid.folded(width)], lines
 
 

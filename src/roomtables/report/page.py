@@ -147,17 +147,31 @@ def _results(tables: RoomTables, rooms: Sequence[Room]) -> list[Section]:
     found = evaluate(rooms, tables)
     picture = rendered(calibration_figure([found]), "svg").decode()
     drawn = picture[picture.index("<svg") :]
-    interval = found.statistics()["accuracy_interval"]
-    baselines, answered = found.baselines(), found.as_json()["answered_by"]
+    calibration = html.paragraph(
+        f"Expected calibration error {expected_calibration_error(found.reliability()):.3f}; mean "
+        f"risk over coverage {area_under_risk(found.risk_coverage()):.3f}. Left: how often an "
+        "answer is right against how probable it was said to be. Right: the share wrong when only "
+        "the surest rooms are answered."
+    )
+    return [
+        ("accuracy", "Accuracy", _accuracy(found, tables.decision)),
+        ("confusion", "Confusion", _confusion(found)),
+        ("coverage", "Coverage", _coverage(found)),
+        ("calibration", "Knowing when it does not know", calibration + drawn),
+    ]
+
+
+def _accuracy(found: Evaluation, decision: Decision) -> str:
+    interval, baselines = found.statistics()["accuracy_interval"], found.baselines()
     headline = html.paragraph(
         f"{found.correct} of {found.rooms} rooms right: {percent(found.accuracy)} (95 % interval "
         f"{percent(interval['low'])} to {percent(interval['high'])}), "
         f"macro {percent(found.macro_accuracy)}, "
         f"right among the top 3 {percent(found.top_accuracy)}; always the most frequent room "
         f"{percent(baselines['majority'])}, a uniform guess {percent(baselines['uniform'])}. "
-        f"{_decision_text(tables.decision)}."
+        f"{_decision_text(decision)}."
     )
-    per_room = html.table(
+    return headline + html.table(
         ("room", "rooms", "right", "accuracy", "unanswered", "backed off"),
         (
             (
@@ -171,23 +185,14 @@ def _results(tables: RoomTables, rooms: Sequence[Room]) -> list[Section]:
             for room, row in found.per_room().items()
         ),
     )
-    coverage = html.paragraph(
-        f"Answered by: {counts(answered)}; backed off to rule pooled: {found.backed_off}; "
-        f"unanswered, counted as wrong: {counts(found.unanswered)}; left out: "
+
+
+def _coverage(found: Evaluation) -> str:
+    return html.paragraph(
+        f"Answered by: {counts(found.as_json()['answered_by'])}; backed off to rule pooled: "
+        f"{found.backed_off}; unanswered, counted as wrong: {counts(found.unanswered)}; left out: "
         f"{counts(found.skipped)}. Names that no table knows: {_unknown(found)}."
     )
-    calibration = html.paragraph(
-        f"Expected calibration error {expected_calibration_error(found.reliability()):.3f}; mean "
-        f"risk over coverage {area_under_risk(found.risk_coverage()):.3f}. Left: how often an "
-        "answer is right against how probable it was said to be. Right: the share wrong when only "
-        "the surest rooms are answered."
-    )
-    return [
-        ("accuracy", "Accuracy", headline + per_room),
-        ("confusion", "Confusion", _confusion(found)),
-        ("coverage", "Coverage", coverage),
-        ("calibration", "Knowing when it does not know", calibration + drawn),
-    ]
 
 
 def _unknown(found: Evaluation) -> str:

@@ -35,7 +35,7 @@ def lines(grid: Grid) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("width", [80, 100, 120])
+@pytest.mark.parametrize("width", [95, 100, 120])
 def test_a_table_of_rooms_fits_and_loses_nothing(width: int) -> None:
     (grid,), beneath = fit(ROOMS, width, BENEATH)
     assert max(map(len, lines(grid))) <= width
@@ -59,10 +59,11 @@ def test_what_differs_from_row_to_row_is_not_said_beneath() -> None:
 
 def test_columns_that_have_no_room_at_all_are_named() -> None:
     grid = Grid([f"column_{n:02}" for n in range(20)], [[str(n) for n in range(20)]] * 2)
-    (shown,), (line,) = fit(grid, 80)
-    assert list(shown.names) == [f"column_{n:02}" for n in range(7)]
-    assert line.startswith("not shown: column_19, column_18")
-    assert line.count("column_") == 13
+    (shown,), said = fit(grid, 80)
+    assert list(shown.names) == [f"column_{n:02}" for n in range(6)]
+    assert said[0].startswith("not shown: column_19, column_18")
+    assert " ".join(said).count("column_") == 14
+    assert max(map(len, said)) <= 80
 
 
 def test_columns_go_on_in_a_further_table_where_the_first_are_repeated() -> None:
@@ -95,7 +96,7 @@ def test_any_table_fits_and_says_what_it_lacks(
     assert set(shown) <= set(grid.names)  # no name is broken or cut
     for name in set(grid.names) - set(shown):
         empty = not any(grid.column(name)) and grid.rows
-        assert empty or any(name in line for line in said)
+        assert empty or name in " ".join(said)
     for part in parts:
         for name in part.names:
             cells = ["".join(cell.split()) for cell in part.column(name)]
