@@ -12,7 +12,7 @@ STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); margin: 0 auto; max-width: 1180px;
   padding: 0 24px 64px; }
 h1 { font-size: 28px; margin: 32px 0 4px; } h2 { font-size: 20px; margin: 40px 0 6px; }
-p { max-width: 78ch; margin: 6px 0 12px; }
+p { max-width: 78ch; margin: 6px 0 12px; overflow-wrap: anywhere; }
 nav a { margin-right: 14px; } a { color: #2257a8; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: 3px 8px; text-align: left; border-bottom: 1px solid var(--line);
@@ -36,9 +36,13 @@ th { font-weight: 600; background: #fff; } td.n { text-align: right; }
 svg { max-width: 100%; height: auto; }
 @media (max-width: 600px) {
   body { padding: 0 12px 48px; } nav a { display: inline-block; padding: 4px 0; }
-  th, td { padding: 3px 5px; overflow-wrap: anywhere; } .bar { min-width: 84px; }
-  .heat th, .heat td { overflow-wrap: normal; }
+  table { font-size: 13px; } th { font-size: 12px; } th, td { padding: 3px; }
+  .bar { min-width: 64px; }
+  #about td { overflow-wrap: anywhere; }
 }
+@media (hover: none) { .heat td:hover::after { content: attr(title); position: fixed; left: 12px;
+  bottom: 12px; z-index: 9; padding: 6px 10px; border: 1px solid var(--line); border-radius: 6px;
+  background: #fff; color: var(--ink); font-size: 14px; } }
 """
 
 
@@ -58,8 +62,8 @@ def page(title: str, sections: Sequence[tuple[str, str, str]]) -> str:
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of escaped text."""
-    return f"<p>{escape(text)}</p>\n"
+    """A paragraph of escaped text, in which no line begins with a percent sign."""
+    return f"<p>{escape(text).replace(' %', '&nbsp;%')}</p>\n"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

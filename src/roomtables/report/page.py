@@ -134,8 +134,8 @@ def _map(connection: Any, source: str) -> str:
     )
     columns: Sequence[str] = rows[0][1] if rows else ()
     return html.paragraph(
-        "In percent, most informative object first; point at a cell for the exact number. After "
-        "each object its entropy in nats."
+        "In percent, most informative object first; point at a cell, or tap it, for the exact "
+        "number. After each object its entropy in nats."
     ) + html.heat_map(
         "object", columns, ((f"{name} {entropy:.2f}", shares) for name, _, shares, entropy in rows)
     )
@@ -169,10 +169,10 @@ def _accuracy(found: Evaluation, decision: Decision) -> str:
         f"macro {percent(found.macro_accuracy)}, "
         f"right among the top 3 {percent(found.top_accuracy)}; always the most frequent room "
         f"{percent(baselines['majority'])}, a uniform guess {percent(baselines['uniform'])}. "
-        f"{_decision_text(decision)}."
+        f"Decided by {_decision_text(decision)}."
     )
     return headline + html.table(
-        ("room", "rooms", "right", "accuracy", "unanswered", "backed off"),
+        ("room", "rooms", "right", "accuracy", "no answer", "backed off"),
         (
             (
                 room,
