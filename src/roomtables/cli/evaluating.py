@@ -17,7 +17,7 @@ from roomtables.cli.common import (
     tables_option,
     weights_option,
 )
-from roomtables.cli.evaluation_text import comparison_text, evaluation_text, sweep_text
+from roomtables.cli.evaluation_text import comparison_text, evaluation_text, notes_text, sweep_text
 from roomtables.cli.names import NameReport
 from roomtables.cli.printing import echo
 from roomtables.evaluation import Evaluation, evaluate
@@ -78,9 +78,7 @@ def evaluate_command(
     asked = parse_conditions(conditions) if conditions else ()
     opened = RoomTables.open(tables, labels, **decision)
     if sweeps:
-        swept = sweep(rooms_file, opened)
-        emit(sweep_text(swept, format_), output)
-        _draw("sweep", swept, plot)
+        _sweep(rooms_file, opened, format_, output, plot)
         return
     if asked:
         compared = compare(rooms_file, opened, asked, weights)
@@ -95,6 +93,16 @@ def evaluate_command(
         _save(evaluations, opened, name)
     _draw("per_room", evaluations, plot)
     _draw("calibration", evaluations, plot_calibration)
+
+
+def _sweep(
+    rooms: Path, tables: RoomTables, format_: str, output: Path | None, plot: Path | None
+) -> None:
+    swept = sweep(rooms, tables)
+    emit(sweep_text(swept, format_), output)
+    if format_ == "csv":  # which has no place for them
+        echo(notes_text(swept), err=True, nl=False)
+    _draw("sweep", swept, plot)
 
 
 def _save(evaluations: Sequence[Evaluation], tables: RoomTables, name: str) -> None:

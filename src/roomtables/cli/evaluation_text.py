@@ -125,7 +125,10 @@ def _test_row(test: PairedTest) -> dict[str, Any]:
 
 
 def sweep_text(swept: Sweep, format_: str) -> str:
-    """A table of the settings, and a line for each thing that was not varied; CSV has no lines."""
+    """A table of the settings, and a line for each thing that was not varied.
+
+    CSV has the table alone.
+    """
     if format_ == "json":
         return as_json(swept.as_json())
     if format_ == "csv":
@@ -145,5 +148,9 @@ def sweep_text(swept: Sweep, format_: str) -> str:
         }
         for point in swept.points
     ]
-    notes = "".join(f"not varied: {note}\n" for note in swept.notes)
-    return f"{render(rows, 'table', beneath=_LEAST_OF_POINT)}\n{notes}"
+    return f"{render(rows, 'table', beneath=_LEAST_OF_POINT)}\n{notes_text(swept)}"
+
+
+def notes_text(swept: Sweep) -> str:
+    """A line for each thing that was not varied."""
+    return "".join(f"not varied: {note}\n" for note in swept.notes)

@@ -116,18 +116,22 @@ def fit(
         grid = grid.without(*same)
     if repeated:
         return [part.folded(width) for part in _parts(grid, width, repeated)], lines
-    left_out: list[str] = []
-    order = [*(name for name in reversed(beneath) if name in grid.names), *reversed(grid.names[1:])]
-    for name in order:
-        if _width(grid.least_widths()) <= width:
-            break
-        if name in grid.names:
-            left_out.append(name)
-            grid = grid.without(name)
-    if left_out:
+    kept = _kept(grid, width, beneath)
+    if left_out := [name for at, name in enumerate(grid.names) if at not in kept]:
         told = f"not shown: {', '.join(left_out)} (a wider terminal or a pipe has them)"
         lines += textwrap.wrap(told, width)
-    return [grid.folded(width)], lines
+    return [grid.only(kept).folded(width)], lines
+
+
+def _kept(grid: Grid, width: int, beneath: Sequence[str]) -> list[int]:
+    """The places of the columns for which there is room, once their cells are folded."""
+    least, kept = grid.least_widths(), list(range(len(grid.names)))
+    first = [grid.names.index(name) for name in reversed(beneath) if name in grid.names]
+    for at in dict.fromkeys((*first, *reversed(kept[1:]))):
+        if _width([least[place] for place in kept]) <= width:
+            break
+        kept.remove(at)
+    return kept
 
 
 def _parts(grid: Grid, width: int, repeated: int) -> list[Grid]:

@@ -61,7 +61,7 @@ def test_columns_that_have_no_room_at_all_are_named() -> None:
     grid = Grid([f"column_{n:02}" for n in range(20)], [[str(n) for n in range(20)]] * 2)
     (shown,), said = fit(grid, 80)
     assert list(shown.names) == [f"column_{n:02}" for n in range(6)]
-    assert said[0].startswith("not shown: column_19, column_18")
+    assert said[0].startswith("not shown: column_06, column_07")
     assert " ".join(said).count("column_") == 14
     assert max(map(len, said)) <= 80
 

@@ -217,8 +217,10 @@ def test_evaluations_as_csv_have_fractions_and_what_is_unanswered(folder, rooms_
     conditions = list(csv.DictReader(io.StringIO(found)))
     assert [row["rule"] for row in conditions] == ["query", "pooled"]
     assert float(conditions[0]["accuracy"]) == int(conditions[0]["correct"]) / 5
-    points = list(csv.DictReader(io.StringIO(run(*common, "--sweep").stdout)))
+    swept = run(*common, "--sweep")
+    points = list(csv.DictReader(io.StringIO(swept.stdout)))
     assert {row["unanswered"] for row in points} == {"1"}
+    assert "not varied: k above 3" in swept.stderr
 
 
 def test_text_writes_an_accuracy_one_way(folder, rooms_file):
@@ -235,7 +237,6 @@ def test_a_sweeps_picture_says_what_is_not_held(tmp_path, rooms_file):
     picture = tmp_path / "sweep.svg"
     found = run(*common, "--offline", "--sweep", "--plot", picture)
     assert found.exit_code == 0, found.output
-    assert "rooms query and calibrated" not in found.stdout
     assert "not varied: rules query and calibrated, source proxy" in found.stdout
     drawn = picture.read_text()
     assert "not drawn: rules query and calibrated, source proxy" in drawn
