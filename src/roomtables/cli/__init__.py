@@ -23,7 +23,7 @@ with leaving_at_once():
     from roomtables.cli.upkeep import compact, gc, rollback, status
 
 
-@click.group(cls=Group)
+@click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="roomtables")
 def main() -> None:
     """Label rooms by the objects in them, with a language model's common sense in tables.

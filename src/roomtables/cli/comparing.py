@@ -17,8 +17,8 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.completion import complete_versions
 from roomtables.cli.printing import as_json
-from roomtables.cli.wrapping import wrapped
 from roomtables.storage.spaces import find_space
 
 if TYPE_CHECKING:
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 _ENTROPIES = ("entropy_before", "entropy_after")
 _ROOMS = ("first_room_before", "first_room_after")
-# So that it all fits into 80 columns.
-_LINE_WIDTH, _CAUSE_WIDTH, _NAME_WIDTH = 80, 34, 23
+# Lines of text fit 80 columns; tables fit by themselves.
+_LINE_WIDTH = 80
 
 
 @click.command()
-@click.argument("before", required=False)
-@click.argument("after", required=False)
+@click.argument("before", required=False, shell_complete=complete_versions)
+@click.argument("after", required=False, shell_complete=complete_versions)
 @tables_option
 @labels_option
 @click.option("--top", type=click.IntRange(min=0), default=20, show_default=True, help="Objects.")
@@ -97,12 +97,11 @@ def _diff_text(found: Diff, top: int) -> str:
         }
         for group in found.groups
     ]
-    lines += ["", render(wrapped(groups, {"moved because": _CAUSE_WIDTH}), "table")]
+    lines += ["", render(groups, "table")]
     first = f", the first {top}" if moved > top else ""
     lines.append(f"{moved:,} object{'s' if moved > 1 else ''} moved{first}\n")
     rows = [_moved_row(row) for row in found.objects[:top]]
-    widths = {"object": _NAME_WIDTH, "first room": _NAME_WIDTH}
-    return "\n".join(lines) + (render(wrapped(rows, widths), "table") if rows else "")
+    return "\n".join(lines) + (render(rows, "table") if rows else "")
 
 
 def _moved_row(row: Mapping[str, Any]) -> dict[str, str]:

@@ -18,6 +18,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.completion import complete_labels
 from roomtables.cli.printing import echo
 from roomtables.config import DEFAULT_LABELS, builtin_labels, labels_name, load_labels
 from roomtables.errors import InputError
@@ -72,7 +73,7 @@ def list_command(format_: str, output: Path | None) -> None:
 
 
 @labels.command()
-@click.argument("space", metavar="NAME|DIR")
+@click.argument("space", metavar="NAME|DIR", shell_complete=complete_labels)
 @tables_option
 @format_option()
 @output_option
@@ -100,6 +101,7 @@ def show(space: str, tables: Path, format_: str, output: Path | None) -> None:
     default=DEFAULT_LABELS,
     show_default=True,
     metavar="NAME|DIR",
+    shell_complete=complete_labels,
     help="The label space whose rooms to take; Hydra's file names none.",
 )
 @click.option(

@@ -16,6 +16,7 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.completion import complete_labels
 from roomtables.config import DEFAULT_LABELS, ENGINES, BuildConfig
 from roomtables.errors import needing
 from roomtables.schemas import REDUCTIONS
@@ -29,18 +30,18 @@ from roomtables.cli.common import (
     labels_option,
 )
 from roomtables.cli.printing import as_json, echo
-from roomtables.cli.wrapping import wrapped
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.spaces import find_space
 
-_WHY_WIDTH = 36  # so that a plan fits into 80 columns
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 _OPTIONS = (
     click.option("--config", type=_FILE, help="A build.toml; options win over it."),
     click.option(
-        "--labels", help=f"Label space: a name, or its folder.  [default: {DEFAULT_LABELS}]"
+        "--labels",
+        shell_complete=complete_labels,
+        help=f"Label space: a name, or its folder.  [default: {DEFAULT_LABELS}]",
     ),
     click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
     click.option("--revision", help="Branch, tag or commit of a hub model."),
@@ -154,7 +155,7 @@ def _plan_text(plan: Plan) -> str:
     return (
         f"{plan.labels}: {plan.published or 'nothing is published'}\n"
         f"model: {plan.scorer_id or 'none is asked'}\n\n"
-        f"{render(wrapped(rows, {'why': _WHY_WIDTH}), 'table')}\n"
+        f"{render(rows, 'table')}\n"
         f"to score: {most}{plan.sentences_to_score:,} sentences{_cost(plan)}\n"
         f"held now: {plan.held:,} of {cover.combinations:,} combinations; "
         f"after the build: {partly}{cover.held:,}\n"

@@ -21,7 +21,6 @@ from roomtables.cli.common import (
 )
 from roomtables.cli.printing import as_json, echo
 from roomtables.cli.rebuilding import build_command
-from roomtables.cli.wrapping import wrapped
 from roomtables.errors import StoreError
 from roomtables.storage.checked import last_checked
 from roomtables.storage.removal import KEPT_VERSIONS
@@ -30,8 +29,6 @@ from roomtables.storage.versions import Version
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 _CLOCK_SKEW = timedelta(minutes=5)
-# So that tables fit into 80 columns.
-_VALUE_WIDTH, _PATH_WIDTH = 60, 40
 
 
 def _age(ctx: click.Context, param: click.Parameter, value: str | None) -> timedelta | None:
@@ -138,7 +135,7 @@ def _status_text(version: Version, found: Mapping[str, Any]) -> str:
     said["checked"] = found["checked"] or "not since it was published"
     said["sources"] = ", ".join(found["sources"])
     rows = [{"what": key, "value": value} for key, value in said.items() if value is not None]
-    return render(wrapped(rows, {"value": _VALUE_WIDTH}), "table", ["what", "value"])
+    return render(rows, "table", ["what", "value"])
 
 
 def _in_words(coverage: Mapping[str, Any]) -> str:
@@ -175,8 +172,6 @@ def gc(tables: Path, keep: int, unused_scores: bool, format_: str, output: Path 
 
     removed = collect_garbage(tables, keep, unused_scores)
     rows = [{"path": row.path, "what": row.what, "bytes": row.bytes} for row in removed]
-    if format_ == "table":
-        rows = wrapped(rows, {"path": _PATH_WIDTH})
     if format_ == "table" and not rows:
         emit("nothing to remove\n", output)
     else:

@@ -213,7 +213,7 @@ class _Making:
         missing = missing_sentences(work, needed, self.cache)
         total = work.count(missing)
         if total:
-            job = Work(work, missing, self.cache, self.model, config, total, progress)
+            job = Work(work, missing, self.cache, self.model, config, total, progress, asked.name)
             self.scored += score(job)
         return work.view("sentence_scores", self.cache.select())
 

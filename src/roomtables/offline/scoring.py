@@ -21,11 +21,19 @@ from roomtables.storage.score_cache import SentenceCache
 PART_SENTENCES = 20_000
 PART_SECONDS = 60.0
 _FETCH = 4096
+# What is scored, by the table that asks for it.
+_KINDS = {
+    "single_sentences": "single-object sentences",
+    "new_query_sentences": "query sentences",
+}
 
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be scored: the distinct sentences of a table, sorted, into a cache."""
+    """What is to be scored: the distinct sentences of a table, sorted, into a cache.
+
+    ``asked`` is the name of the table that they were asked for.
+    """
 
     workspace: Workspace
     missing: WorkTable
@@ -34,6 +42,12 @@ class Work:
     config: BuildConfig
     total: int
     progress: bool = False
+    asked: str = ""
+
+    @property
+    def what(self) -> str:
+        """What the sentences are, for people."""
+        return _KINDS.get(self.asked, "sentences")
 
     def sentences(self) -> Iterator[str]:
         """The sentences, sorted, lazily, on a cursor of their own."""
@@ -93,7 +107,7 @@ def score_locally(work: Work) -> Scored:
     scores: list[SentenceScore] = []
     started = part_started = time.monotonic()
     try:
-        for sentence, score in scored(scorer, work.sentences(), work.total):
+        for sentence, score in scored(scorer, work.sentences(), work.total, work.what):
             kept.append(sentence)
             scores.append(score)
             done.tokens += score.token_count
@@ -128,9 +142,10 @@ def check_identity(scorer: Scorer, cache: SentenceCache) -> None:
 class _Watched:
     """Sentences on their way to a scorer, which may read ahead of what it has answered."""
 
-    def __init__(self, sentences: Iterator[str], total: int) -> None:
+    def __init__(self, sentences: Iterator[str], total: int, what: str) -> None:
         self._sentences = sentences
         self._total = total
+        self.what = what  # the label of a scorer's progress bar
         self.waiting: deque[str] = deque()
 
     def __len__(self) -> int:
@@ -144,16 +159,16 @@ class _Watched:
 
 
 def scored(
-    scorer: Scorer, sentences: Iterator[str], total: int
+    scorer: Scorer, sentences: Iterator[str], total: int, what: str = "sentences"
 ) -> Iterator[tuple[str, SentenceScore]]:
-    """Each of ``total`` sentences with its score.
+    """Each of ``total`` sentences with its score; ``what`` they are labels a progress bar.
 
     Raises
     ------
     ModelError
         A score is not finite.
     """
-    watched = _Watched(sentences, total)
+    watched = _Watched(sentences, total, what)
     for score in scorer.score_stream(watched):
         sentence = watched.waiting.popleft()
         if not abs(score.log_prob) <= FLOAT32_MAX:  # nor is NaN

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 from roomtables.errors import StoreError, first_line
 from roomtables.schemas import TABLE_BY_NAME, VERSION_TABLES, literal, parquet
+from roomtables.storage.evaluations import FOLDER as EVALUATIONS
 from roomtables.storage.files import listed, refuse_outside
 from roomtables.storage.misses import Misses
 from roomtables.storage.samples import check_parquet
 from roomtables.storage.versions import SpaceFolder, Version
 
 log = logging.getLogger(__name__)
-EVALUATIONS = "evaluations"  # the table, and the folder of its files
 _NOTED = "one row per combination asked for in vain, whether or not a build has taken it in"
 _UNPIVOTED = (
     "select source, objects, room, score::double as score from (unpivot (from {table}) "
