@@ -7,13 +7,12 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tqdm import tqdm
-
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
 from roomtables.limits import FLOAT32_MAX
 from roomtables.offline.model import LazyScorer
 from roomtables.offline.workspace import Workspace, WorkTable
+from roomtables.progress import progress_bar
 from roomtables.scorer import Scorer, SentenceScore
 from roomtables.storage.score_cache import SentenceCache
 
@@ -98,10 +97,8 @@ def score_locally(work: Work) -> Scored:
     """
     scorer = work.model.load(work.progress)
     check_identity(scorer, work.cache)
-    bar = tqdm(
-        total=work.total, desc="scoring", unit=" sentences", mininterval=0.5,
-        disable=not work.progress or work.model.shows_progress,
-    )  # fmt: skip
+    shown = work.progress and not work.model.shows_progress
+    bar = progress_bar(work.what, work.total) if shown else None
     done = Scored()
     kept: list[str] = []
     scores: list[SentenceScore] = []
@@ -111,13 +108,15 @@ def score_locally(work: Work) -> Scored:
             kept.append(sentence)
             scores.append(score)
             done.tokens += score.token_count
-            bar.update()
+            if bar is not None:
+                bar.update()
             if len(kept) >= PART_SENTENCES or time.monotonic() - part_started > PART_SECONDS:
                 work.cache.append(kept, scores)
                 done.sentences += len(kept)
                 kept, scores, part_started = [], [], time.monotonic()
     finally:  # an interrupted build keeps what it has
-        bar.close()
+        if bar is not None:
+            bar.close()
         if kept:
             work.cache.append(kept, scores)
             done.sentences += len(kept)
