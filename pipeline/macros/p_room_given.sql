@@ -1,6 +1,6 @@
 -- p_room_given(given, from_source, prior_weight, evidence_power, among):
--- rule pooled: the evidence Σ w(o) L′(o, r) of all the objects, and p(room), best first. A room of unknown
--- objects alone has one row without a room.
+-- rule pooled: the evidence Σ w(o) L′(o, r) of all the objects, and p(room), best first. A room of
+-- unknown objects alone has one row without a room.
 create macro p_room_given(
     given, from_source := null, prior_weight := null, evidence_power := null, among := null
 ) as table

@@ -98,7 +98,8 @@ def sql_command(
     if database is not None:
         _write_database(ClientDatabase.at(database, joined), tables, space, version, verify)
     elif query is not None:
-        columns, rows = select(connect(tables, version, joined, verify), query)
+        with connect(tables, version, joined, verify) as connection:
+            columns, rows = select(connection, query)
         records = [dict(zip(columns, row, strict=True)) for row in rows]
         emit(render(records, format_, columns), output)
     else:

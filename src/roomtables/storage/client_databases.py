@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from roomtables.errors import InputError, RoomtablesError, StoreError, first_line, needing
-from roomtables.limits import JSON_BYTES, MalformedError, json_value, read_bytes
+from roomtables.limits import JSON_BYTES, json_value, read_bytes
 from roomtables.schemas import literal
 from roomtables.storage.files import check_name, listed, refuse_outside, write_aside, writing
 from roomtables.storage.joined import JoinedFile
@@ -27,7 +27,7 @@ from roomtables.storage.versions import SpaceFolder, Version
 from roomtables.storage.views import create_views
 
 FOLDER = "databases"
-# The oldest that holds comments on macros: the shells of DuckDB 1.2 and later open it.
+# What DuckDB 2 writes by default DuckDB 1 does not open; this, both do.
 STORAGE_VERSION = "v1.2.0"
 _OWN_TABLES = {"noted_misses"}
 _OTHER = "is no database that `roomtables sql --db` wrote; give another name"
@@ -101,7 +101,15 @@ class ClientDatabase(NamedTuple):
 def new_database(
     tables: Path, version: Version, joined: Sequence[JoinedFile] = (), verify: bool = False
 ) -> Iterator[Path]:
-    """A file with all views and macros, in a temporary folder; raises as :func:`create_views`."""
+    """A file with all views and macros, in a temporary folder.
+
+    Raises
+    ------
+    StoreError
+        A published file is damaged, or no views can be made of it.
+    InputError
+        As :func:`create_views`.
+    """
     import duckdb
 
     from roomtables.storage.database import speaking_plainly, within_memory
@@ -109,12 +117,16 @@ def new_database(
     with scratch("sql") as folder:
         file = folder / f"{version.path.parent.name}.duckdb"
         attach = f"attach {literal(file)} as made (storage_version {literal(STORAGE_VERSION)})"
-        with speaking_plainly(folder), duckdb.connect(config=within_memory()) as connection:
-            connection.execute(attach)
-            connection.execute("use made")
-            create_views(connection, tables, version, joined, verify)
-            connection.execute("use memory")
-            connection.execute("detach made")
+        try:
+            with speaking_plainly(folder), duckdb.connect(config=within_memory()) as connection:
+                connection.execute(attach)
+                connection.execute("use made")
+                create_views(connection, tables, version, joined, verify)
+                connection.execute("use memory")
+                connection.execute("detach made")
+        except duckdb.Error as error:
+            said = first_line(error)
+            raise StoreError(f"no views can be made of {version.path}: {said}") from error
         yield file
 
 
@@ -136,7 +148,7 @@ def write_anew(tables: Path) -> None:
                 else:
                     log.warning("%s is gone, and is written anew no more", database.path)
                     database.forget(space)
-            except (RoomtablesError, OSError) as error:
+            except (RoomtablesError, OSError, ValueError) as error:
                 log.warning("%s is not written anew: %s", database.path, first_line(error))
 
 
@@ -152,7 +164,7 @@ def _noted(space: SpaceFolder) -> Iterator[tuple[ClientDatabase, Path]]:
             value: Any = json_value(read_bytes(note, JSON_BYTES))
             joined = tuple(JoinedFile(name, Path(path)) for name, path in value["with"].items())
             yield ClientDatabase(Path(value["database"]), joined), Path(value["tables"])
-        except (OSError, MalformedError, LookupError, AttributeError, TypeError) as error:
+        except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
             log.warning("%s names no database: %s", note, first_line(error))
 
 

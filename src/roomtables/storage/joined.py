@@ -46,14 +46,22 @@ class JoinedFile(NamedTuple):
         joined = cls(name, Path(path).resolve())
         if not joined.path.is_file():
             raise InputError(f"--with: there is no file {path}")
-        if joined._suffix() not in _READERS:
-            raise InputError(f"--with: {path} must be one of *{', *'.join(_READERS)}")
+        _ = joined.query
         return joined
 
     @property
     def query(self) -> str:
-        """The SELECT that reads the file, whatever stands in its path."""
-        return f"from {_READERS[self._suffix()].format(literal(plain_path(self.path)))}"
+        """The SELECT that reads the file, whatever stands in its path.
+
+        Raises
+        ------
+        InputError
+            It is of no kind that SQL reads.
+        """
+        reader = _READERS.get(self._suffix())
+        if reader is None:
+            raise InputError(f"--with: {self.path} must be one of *{', *'.join(_READERS)}")
+        return f"from {reader.format(literal(plain_path(self.path)))}"
 
     def _suffix(self) -> str:
         suffixes = [suffix.casefold() for suffix in self.path.suffixes]
