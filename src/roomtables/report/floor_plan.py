@@ -197,8 +197,8 @@ def _page(name: str, rooms: Sequence[SceneRoom], answers: Answers, picture: str)
 body {{ font-family: sans-serif; margin: 4vw; }}
 svg {{ max-width: 100%; height: auto; }}
 td, th {{ text-align: left; padding: 0.2em 1em 0.2em 0; vertical-align: top; }}
-td {{ overflow-wrap: anywhere; }}
 div {{ overflow-x: auto; }}
+@media (max-width: 600px) {{ td, th {{ font-size: 13px; padding-right: 0.4em; }} }}
 </style></head><body>
 <h1>{html.escape(name)}</h1>
 {svg}
