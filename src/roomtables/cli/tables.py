@@ -43,7 +43,9 @@ _OPTIONS = (
         shell_complete=complete_labels,
         help=f"Label space: a name, or its folder.  [default: {DEFAULT_LABELS}]",
     ),
-    click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
+    click.option(
+        "--model", help="Hub name, folder, or FILE.gguf.  [default: household-lm, embedded]"
+    ),
     click.option("--revision", help="Branch, tag or commit of a hub model."),
     click.option("--dtype", type=click.Choice(DTYPES), help="Compute precision."),
     click.option("--device", help="auto, cpu or cuda.  [default: auto]"),
@@ -87,6 +89,7 @@ def build_command(
     Example:
       roomtables build
       roomtables build --model ./gpt2 --dtype bfloat16 --combinations rooms.jsonl
+      roomtables build --model SmolLM2-135M-Instruct.Q4_1.gguf --combinations none
     """
     with needing("`roomtables build`", "lm"):
         from roomtables.offline.builder import build
