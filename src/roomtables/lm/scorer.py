@@ -18,6 +18,8 @@ import torch
 
 from roomtables.errors import ModelError
 from roomtables.packing.sequences import FloatArray
+from roomtables.packing.tokens import IntArray
+from roomtables.progress import progress_bar
 from roomtables.scorer import ONE_THREAD_PARAMETERS, SentenceScore
 from roomtables.token_limits import quoted
 
@@ -41,7 +43,7 @@ class Backend(Protocol):
         """Why faster strategies were passed over, one line each."""
         ...
 
-    def encode(self, sentences: Sequence[str]) -> Sequence[Any]:
+    def encode(self, sentences: Sequence[str]) -> Any:
         """Tokens of each sentence.
 
         Raises
@@ -51,11 +53,11 @@ class Backend(Protocol):
         """
         ...
 
-    def token_count(self, encoded: Any) -> int:
-        """How many tokens of one encoded sentence are scored."""
+    def token_counts(self, encoded: Any) -> IntArray:
+        """How many tokens of each encoded sentence are scored."""
         ...
 
-    def log_probs(self, encoded: Sequence[Any], budget: int, meter: Meter) -> FloatArray:
+    def log_probs(self, encoded: Any, budget: int, meter: Meter) -> FloatArray:
         """Sum of log probabilities in nats of each encoded sentence, ``[sentences]``.
 
         ``budget`` is the most tokens in one forward pass.
@@ -115,12 +117,13 @@ class SentenceScorer:
         """One score per sentence, in order, lazily and in bounded memory; raises as :meth:`score`.
 
         ``total`` is the number of sentences, for the estimate of the time left; read from
-        ``sentences`` where it has a length.
+        ``sentences`` where it has a length. A progress bar is labelled by their attribute ``what``.
         """
         if total is None and isinstance(sentences, Sized):
             total = len(sentences)
         stream = iter(sentences)
-        meter = Meter(total, self.progress)
+        what = getattr(sentences, "what", "scoring")
+        meter = Meter(total, what if self.progress else None)
         try:
             while window := list(islice(stream, self.window)):
                 yield from self._score_window(window, meter)
@@ -130,8 +133,8 @@ class SentenceScorer:
     def _score_window(self, window: list[str], meter: Meter) -> list[SentenceScore]:
         unique = list(dict.fromkeys(window))
         encoded = self.backend.encode(unique)
-        counts = [self.backend.token_count(item) for item in encoded]
-        meter.begin(len(window), sum(counts))
+        counts = self.backend.token_counts(encoded)
+        meter.begin(len(window), int(counts.sum()))
         with using_threads(self.threads):
             log_probs = self._log_probs(encoded, meter)
         bad = np.flatnonzero(~np.isfinite(log_probs))
@@ -141,11 +144,11 @@ class SentenceScorer:
                 f"{log_probs[bad[0]]}; try --dtype float32, or another --model"
             )
         meter.finish()
-        scores = map(SentenceScore, log_probs.tolist(), counts)
+        scores = map(SentenceScore, log_probs.tolist(), counts.tolist())
         by_sentence = dict(zip(unique, scores, strict=True))
         return [by_sentence[sentence] for sentence in window]
 
-    def _log_probs(self, encoded: Sequence[Any], meter: Meter) -> FloatArray:
+    def _log_probs(self, encoded: Any, meter: Meter) -> FloatArray:
         """Score a window, with half the token budget whenever memory runs out."""
         while True:
             try:
@@ -173,19 +176,16 @@ def _out_of_memory(error: Exception) -> bool:
 class Meter:
     """Counts what is done of a stream of sentences, window by window.
 
-    Where ``enabled`` a progress bar on stderr shows sentences, tokens run, the share of tokens that
-    shared prefixes save, and the time left, for which ``total`` sentences must be known.
+    A progress bar on stderr, labelled ``what``, shows sentences, the time left, for which ``total``
+    sentences must be known, tokens run, and the share of tokens that shared prefixes save. Without
+    a label there is none.
     """
 
-    def __init__(self, total: int | None = None, enabled: bool = False) -> None:
+    def __init__(self, total: int | None = None, what: str | None = None) -> None:
         self.tokens_asked = 0
         self.tokens_run = 0
         self._finished = 0
-        self._bar: Any = None
-        if enabled:
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=total, desc="scoring", unit=" sentences", mininterval=0.5)
+        self._bar: Any = None if what is None else progress_bar(what, total)
 
     def begin(self, sentences: int, tokens: int) -> None:
         """A window of ``sentences`` holding ``tokens`` is about to be scored."""
