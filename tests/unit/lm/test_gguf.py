@@ -151,6 +151,13 @@ def test_a_list_longer_than_the_file_takes_no_memory(
     assert peak < 20_000_000
 
 
+def test_a_header_longer_than_any_is_not_read(file: Path, whole: bytes) -> None:
+    with file.open("wb") as stream:
+        stream.write(whole[:24] + struct.pack("<Q", 150 << 20))
+        stream.truncate(200 << 20)
+    assert "header is longer than 128 MB" in refusal(file, identify)
+
+
 @pytest.mark.parametrize("key", ["llama.block_count", "llama.attention.head_count"])
 def test_a_count_that_no_model_has(key: str, folder: Path, tmp_path: Path) -> None:
     file = write_gguf(folder, tmp_path / "tiny.gguf", changes={key: 4_000_000_000})
