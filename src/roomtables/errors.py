@@ -11,7 +11,9 @@ from contextlib import contextmanager
 
 # The extra that brings each package (by the name it is imported as): what pyproject.toml says.
 EXTRAS: Mapping[str, str] = {
+    "accelerate": "gguf",
     "duckdb": "build",
+    "gguf": "gguf",
     "harlequin": "ui",
     "huggingface_hub": "lm",
     "inflect": "robot",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import resource
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +19,8 @@ MEGABYTE = 1 << 20
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "ARROW_IO_THREADS", "RAYON_NUM_THREADS")
 _M_ARENA_MAX = -8  # malloc.h: how many heaps threads may have
 _CGROUPS = Path("/sys/fs/cgroup")
+_FREE = re.compile(r"^MemAvailable: +([0-9]+) kB$", re.MULTILINE)
+_HELD = re.compile(r"^((?:total_)?(?:in)?active_file) ([0-9]+)$", re.MULTILINE)
 
 
 def address_space_limit() -> int | None:
@@ -28,20 +31,33 @@ def address_space_limit() -> int | None:
 
 def address_space_used() -> int:
     """Bytes of address space that the process has; 0 where the system does not say."""
-    try:
-        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[0]
-    except OSError:
-        return 0
-    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+    pages = _content(Path("/proc/self/statm")).split()
+    return int(pages[0]) * os.sysconf("SC_PAGE_SIZE") if pages else 0
 
 
 def available() -> int:
     """Bytes that the process may use: the least of what machine, cgroup and limits leave."""
-    most = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), *_cgroup_limits()]
+    most = [
+        os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        *(limit for _, limit in _cgroup_limits()),
+    ]
     limit = address_space_limit()
     if limit is not None:
         most.append(max(limit - address_space_used(), 0))
     return min(most)
+
+
+def free() -> int:
+    """Bytes that are free now: the least of what machine, cgroup and limits leave.
+
+    What the system holds in memory of files counts as free, since it gives that up when asked.
+    """
+    left = [available()]
+    left += [limit - _cgroup_used(folder) for folder, limit in _cgroup_limits()]
+    found = _FREE.search(_content(Path("/proc/meminfo")))
+    if found:
+        left.append(int(found[1]) << 10)
+    return max(0, min(left))
 
 
 def shortage(what: str, megabytes: int) -> str | None:
@@ -75,14 +91,10 @@ def spare_address_space() -> None:
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
-def _cgroup_limits() -> list[int]:
-    """Memory limits of the process's cgroup and those above it, in bytes; none where unknown."""
-    try:
-        lines = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return []
+def _cgroup_limits() -> list[tuple[Path, int]]:
+    """The process's cgroup and those above it that limit memory, and to how many bytes."""
     found = []
-    for line in lines:
+    for line in _content(Path("/proc/self/cgroup")).splitlines():
         _, controllers, path = line.split(":", 2)
         unified = not controllers
         if unified or "memory" in controllers.split(","):
@@ -90,13 +102,26 @@ def _cgroup_limits() -> list[int]:
             name = "memory.max" if unified else "memory.limit_in_bytes"
             inner = top / path.lstrip("/")
             folders = [f for f in (inner, *inner.parents) if f.is_relative_to(top)]
-            found += [limit for folder in folders if (limit := _number(folder / name))]
+            found += [(f, limit) for f in folders if (limit := _number(f / name))]
     return found
 
 
+def _cgroup_used(folder: Path) -> int:
+    """Bytes of memory that a cgroup's processes use, without what is held of files."""
+    used = _number(folder / "memory.current") or _number(folder / "memory.usage_in_bytes") or 0
+    held = {name: int(size) for name, size in _HELD.findall(_content(folder / "memory.stat"))}
+    whole = [size for name, size in held.items() if name.startswith("total_")]  # with inner ones
+    return max(0, used - sum(whole or held.values()))
+
+
 def _number(path: Path) -> int | None:
-    try:
-        text = path.read_text(encoding="ascii").strip()
-    except OSError:
-        return None
+    text = _content(path).strip()
     return int(text) if text.isdigit() else None
+
+
+def _content(path: Path) -> str:
+    """Text of a file of the system; empty where it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError:
+        return ""

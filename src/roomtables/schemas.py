@@ -149,6 +149,25 @@ TABLES = (
         ),
         ("source", "objects"),
     ),
+    Table(
+        "evaluations",
+        "one row per saved evaluation, source, rule, room",
+        (
+            Column("evaluation", "varchar", "the name it was saved under"),
+            Column("version", "varchar", "the published version that was evaluated"),
+            Column("saved", "timestamp", "when, UTC"),
+            Column("source", "varchar", "ground_truth or proxy"),
+            Column("rule", "varchar", "the rule asked for: query, calibrated or pooled"),
+            Column("room_id", "varchar", "the room's id in the room list"),
+            Column("room", "varchar", "its true label, the first of several"),
+            Column("predicted", "varchar", "the answer; null where there is none"),
+            Column("probability", "double", "of the answer"),
+            Column("objects", "varchar[]", "labels of the k objects picked, in sentence order"),
+            Column("answered_by", "varchar", "table, lm or none"),
+            Column("backed_off", "boolean", "true: decided by rule pooled for want of a row"),
+        ),
+        ("evaluation", "source", "rule", "room_id"),
+    ),
 )
 TABLE_BY_NAME = {table.name: table for table in TABLES}
 # What a version publishes: the sentence scores are shared by all label spaces, the misses are live.

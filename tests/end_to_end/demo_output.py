@@ -1,17 +1,17 @@
-"""What `make demo` prints; `python tests/end_to_end/demo_output.py` puts it into the README."""
+"""What `make demo` prints at a terminal of 80 columns.
+
+`PYTHONPATH=tests python -m end_to_end.demo_output` puts it into the README.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import re
 import shlex
 import subprocess
 import tempfile
 from pathlib import Path
 
-from click.testing import CliRunner
-
-from roomtables.cli import main
+from terminal import at_terminal
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -32,13 +32,13 @@ def commands() -> list[str]:
 def demo_output() -> str:
     """The commands and their output; times are left out, as no two runs share them."""
     lines = []
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(ROOT):
+    with tempfile.TemporaryDirectory() as folder:
         for command in commands():
             words = shlex.split(command.replace(".venv/demo-tables", folder))
-            run = CliRunner().invoke(main, words[1:], catch_exceptions=False)
-            if run.exit_code:
-                raise RuntimeError(f"{command} exited {run.exit_code}: {run.stderr}")
-            said = re.sub(r", \d+\.\d s$", "", run.stdout.rstrip(), flags=re.MULTILINE)
+            shown = at_terminal(80, *words[1:], cwd=ROOT)
+            if shown.code:
+                raise RuntimeError(f"{command} exited {shown.code}: {shown.stderr}")
+            said = re.sub(r", \d+\.\d s$", "", shown.terminal.rstrip(), flags=re.MULTILINE)
             lines += [f"$ {command}", *said.replace(folder, ".venv/demo-tables").splitlines(), ""]
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 

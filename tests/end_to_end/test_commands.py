@@ -28,6 +28,7 @@ def test_every_command_has_help_with_an_example(shell, path, command):
     text = shell(*path, "--help")
     assert "Example:" in text
     assert f"roomtables {' '.join(path)}" in text
+    assert shell(*path, "-h") == text
 
 
 def test_classify_objects(shell, published):

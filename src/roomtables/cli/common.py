@@ -14,6 +14,8 @@ from typing import Any, NoReturn, TypeVar
 import click
 
 from roomtables.cli.checks import check_arguments, check_room
+from roomtables.cli.completion import complete_labels
+from roomtables.cli.folding import Grid, fit, table_width
 from roomtables.cli.interrupts import end_interrupted, interruptible, noticing_interrupts
 from roomtables.cli.printing import (
     as_json,
@@ -94,6 +96,7 @@ tables_option = click.option(
 )
 labels_option = click.option(
     "--labels",
+    shell_complete=complete_labels,
     help="Label space: a name, or its folder.  "
     f"[default: {DEFAULT_LABELS} where it is published, else the only one that is]",
 )
@@ -175,9 +178,18 @@ def decision_options(command: Command) -> Command:
 
 
 def render(
-    rows: Sequence[Mapping[str, Any]], format_: str, columns: Sequence[str] | None = None
+    rows: Sequence[Mapping[str, Any]],
+    format_: str,
+    columns: Sequence[str] | None = None,
+    *,
+    beneath: Sequence[str] = (),
+    repeated: int = 0,
 ) -> str:
-    """Rows as text; ``json`` is a list of them."""
+    """Rows as text; ``json`` is a list of them.
+
+    A ``table`` on a terminal is no wider than that; ``beneath`` and ``repeated`` say how it is made
+    to fit (:func:`roomtables.cli.folding.fit`).
+    """
     names = list(columns if columns is not None else rows[0] if rows else ())
     if format_ == "json":
         return as_json([dict(row) for row in rows])
@@ -189,11 +201,17 @@ def render(
         writer.writerow(map(csv_cell, names))
         writer.writerows([_csv_cell(row.get(name)) for name in names] for row in rows)
         return buffer.getvalue()
+    cells = [[in_one_line(_cell(row.get(name), ".4g")) for name in names] for row in rows]
+    grid = Grid([in_one_line(name) for name in names], cells)
+    width = table_width()
+    grids, lines = ([grid], []) if width is None else fit(grid, width, beneath, repeated)
+    return "\n".join(map(_table, grids)) + "".join(f"{line}\n" for line in lines)
+
+
+def _table(grid: Grid) -> str:
     from tabulate import tabulate
 
-    cells = [[in_one_line(_cell(row.get(name), ".4g")) for name in names] for row in rows]
-    headers = [in_one_line(name) for name in names]
-    return tabulate(cells, headers=headers, tablefmt="simple", disable_numparse=True) + "\n"
+    return tabulate(grid.rows, headers=grid.names, tablefmt="simple", disable_numparse=True) + "\n"
 
 
 def emit(text: str, output: Path | None = None) -> None:

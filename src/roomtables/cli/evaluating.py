@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +14,18 @@ from roomtables.cli.common import (
     format_option,
     labels_option,
     output_option,
-    render,
     tables_option,
     weights_option,
 )
+from roomtables.cli.evaluation_text import comparison_text, evaluation_text, notes_text, sweep_text
 from roomtables.cli.names import NameReport
-from roomtables.cli.printing import as_json, echo
+from roomtables.cli.printing import echo
 from roomtables.evaluation import Evaluation, evaluate
-from roomtables.evaluation.comparison import (
-    Comparison,
-    PairedTest,
-    Sweep,
-    compare,
-    parse_conditions,
-    sweep,
-)
+from roomtables.evaluation.comparison import compare, parse_conditions
+from roomtables.evaluation.saving import save
+from roomtables.evaluation.sweeping import sweep
 from roomtables.online.classifier import RoomTables
+from roomtables.storage.evaluations import check_evaluation_name
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -39,12 +36,13 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 @click.option("--sweep", "sweeps", is_flag=True, help="Accuracy over k, λ, γ, rule and source.")
 @click.option("--statistics", is_flag=True, help="Add interval, top 3 and calibration to JSON.")
 @click.option("--plot", type=_FILE, help="Draw accuracy per room, or the sweep: .png or .svg.")
+@click.option("--save", "name", metavar="NAME", help="Keep what was predicted, for `sql`.")
 @click.option("--plot-calibration", type=_FILE, help="Draw reliability, and risk over coverage.")
 @tables_option
 @labels_option
 @decision_options
 @weights_option
-@format_option("table", "json")
+@format_option("table", "json", "csv")
 @output_option
 def evaluate_command(
     rooms_file: Path,
@@ -53,6 +51,7 @@ def evaluate_command(
     statistics: bool,
     plot: Path | None,
     plot_calibration: Path | None,
+    name: str | None,
     weights: str | None,
     tables: Path,
     labels: str | None,
@@ -62,35 +61,55 @@ def evaluate_command(
 ) -> None:
     """Compare answers with the true labels of ROOMS (room lines).
 
+    A room without an answer counts as wrong, and is counted apart. With --save, SQL can ask about
+    single rooms: `roomtables sql "from evaluations where predicted != room"`.
+
     \b
     Example:
-      roomtables evaluate rooms.jsonl --rule pooled
+      roomtables evaluate rooms.jsonl --rule pooled --save nightly-1
       roomtables evaluate rooms.jsonl --compare query:proxy,pooled:proxy --plot rooms.svg
       roomtables evaluate rooms.jsonl --sweep --plot sweep.png
     """
-    if sweeps and (conditions or statistics or plot_calibration or weights):
+    if sweeps and (conditions or statistics or plot_calibration or weights or name):
         raise click.UsageError("--sweep goes with --plot alone")
     check_plots(plot, plot_calibration)
+    if name is not None:
+        check_evaluation_name(name)
     asked = parse_conditions(conditions) if conditions else ()
     opened = RoomTables.open(tables, labels, **decision)
-    as_text = format_ != "json"
     if sweeps:
-        swept = sweep(rooms_file, opened)
-        emit(_sweep_text(swept) if as_text else as_json(swept.as_json()), output)
-        _draw("sweep", swept, plot)
+        _sweep(rooms_file, opened, format_, output, plot)
         return
     if asked:
         compared = compare(rooms_file, opened, asked, weights)
-        emit(_comparison_text(compared) if as_text else as_json(compared.as_json()), output)
+        emit(comparison_text(compared, format_), output)
         evaluations = compared.evaluations
     else:
-        result = evaluate(rooms_file, opened, weights)
-        _report_names(opened, result)
-        found = _summary(result) if as_text else as_json(result.as_json(statistics=statistics))
-        emit(found, output)
-        evaluations = (result,)
+        found = evaluate(rooms_file, opened, weights)
+        _report_names(opened, found)
+        emit(evaluation_text(found, format_, statistics), output)
+        evaluations = (found,)
+    if name is not None:
+        _save(evaluations, opened, name)
     _draw("per_room", evaluations, plot)
     _draw("calibration", evaluations, plot_calibration)
+
+
+def _sweep(
+    rooms: Path, tables: RoomTables, format_: str, output: Path | None, plot: Path | None
+) -> None:
+    swept = sweep(rooms, tables)
+    emit(sweep_text(swept, format_), output)
+    if format_ == "csv":  # which has no place for them
+        echo(notes_text(swept), err=True, nl=False)
+    _draw("sweep", swept, plot)
+
+
+def _save(evaluations: Sequence[Evaluation], tables: RoomTables, name: str) -> None:
+    path, replaced = save(evaluations, tables, name)
+    rows = sum(found.rooms for found in evaluations)
+    done = "replaced evaluation" if replaced else "saved evaluation"
+    echo(f"{done} {name}: {rows} rows in {path}", err=True)
 
 
 def _report_names(tables: RoomTables, result: Evaluation) -> None:
@@ -117,79 +136,6 @@ def _draw(kind: str, drawn: object, path: Path | None) -> None:
 
     plots.save(getattr(plots, f"{kind}_figure")(drawn), path)
     echo(f"drew {path}", err=True)
-
-
-def _summary(result: Evaluation) -> str:
-    rows = [{"room": label, **row} for label, row in result.per_room().items()]
-    baselines = result.baselines()
-    found = result.as_json(statistics=True)
-    more = found["statistics"]
-    interval = more["accuracy_interval"]
-    lines = [
-        f"{result.correct} of {result.rooms} rooms right: {result.accuracy:.1%} "
-        f"(macro {result.macro_accuracy:.1%}), rule {result.rule}, source {result.source}",
-        f"95 % interval {interval['low']:.1%} to {interval['high']:.1%}; "
-        f"right among the top 3: {more['top_3_accuracy']:.1%}; "
-        f"expected calibration error {more['expected_calibration_error']:.3f}",
-        f"baselines: uniform {baselines['uniform']:.1%}, majority {baselines['majority']:.1%}",
-        f"answered by: {_counts(found['answered_by'])}; backed off to rule pooled: "
-        f"{found['backed_off']}; left out: {_counts(found['skipped'])}",
-    ]
-    return "\n".join(lines) + "\n\n" + render(rows, "table")
-
-
-def _counts(counts: dict[str, int]) -> str:
-    return ", ".join(f"{what} {n}" for what, n in sorted(counts.items())) or "none"
-
-
-def _comparison_text(compared: Comparison) -> str:
-    """A table of the conditions, one of the tests between them, one of accuracy per room."""
-    conditions = [_condition_row(found) for found in compared.evaluations]
-    tests = [_test_row(test) for test in compared.paired_tests()]
-    per_room: dict[str, dict[str, Any]] = {}
-    for found in compared.evaluations:
-        for room, row in found.per_room().items():
-            line = per_room.setdefault(room, {"room": room, "rooms": row["rooms"]})
-            line[found.condition] = f"{row['accuracy']:.1%}"
-    parts = [conditions, *([tests] if tests else []), [per_room[room] for room in sorted(per_room)]]
-    return "\n".join(render(rows, "table") for rows in parts)
-
-
-def _condition_row(found: Evaluation) -> dict[str, Any]:
-    more = found.statistics()
-    interval = more["accuracy_interval"]
-    return {
-        "condition": found.condition,
-        "rooms": found.rooms,
-        "correct": found.correct,
-        "accuracy": f"{found.accuracy:.1%}",
-        "95 % interval": f"{interval['low']:.1%} to {interval['high']:.1%}",
-        "macro": f"{found.macro_accuracy:.1%}",
-        "top 3": f"{more['top_3_accuracy']:.1%}",
-        "calibration error": f"{more['expected_calibration_error']:.3f}",
-        "unanswered": sum(judged.prediction.room is None for judged in found.judged),
-    }
-
-
-def _test_row(test: PairedTest) -> dict[str, Any]:
-    return {
-        "first": test.first,
-        "second": test.second,
-        "difference": f"{test.difference:+.1%}",
-        "95 % interval": f"{test.low:+.1%} to {test.high:+.1%}",
-        "only first right": test.only_first,
-        "only second right": test.only_second,
-        "McNemar p": f"{test.p_value:.2g}",
-    }
-
-
-def _sweep_text(swept: Sweep) -> str:
-    rows = [
-        row | {"k": row["k"] or "all", "accuracy": f"{row['accuracy']:.1%}"}
-        for row in swept.as_json()["sweep"]
-    ]
-    notes = "".join(f"not varied: {note}\n" for note in swept.notes)
-    return render(rows, "table") + "\n" + notes
 
 
 @click.command("report")

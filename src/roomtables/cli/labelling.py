@@ -37,6 +37,8 @@ _COLUMNS = (
     "room_id", "room", "reason", "probability", "top", "objects", "unknown_objects", "rule",
     "source", "answered_by", "read_as",
 )  # fmt: skip
+# What a narrow terminal shows in a line beneath the table, where it is the same for all rooms.
+_BENEATH = ("rule", "source", "answered_by")
 
 
 @click.command()
@@ -115,12 +117,13 @@ def _as_table(records: Sequence[dict[str, Any]], left_out: set[str]) -> str:
     rows = [_row(record, by_case=False) for record in records]
     for row in rows:
         row["reason"] = row.get("reason") or _why_unanswered(row)
+        row["room"] = row["room"] or "–"
     if any(row["reason"] for row in rows):
         left_out = left_out - {"reason"}
     if not any(row["read_as"] for row in rows):
         left_out = left_out | {"read_as"}
     columns = [name for name in _COLUMNS if name not in left_out]
-    text = render(rows, "table", columns)
+    text = render(rows, "table", columns, beneath=_BENEATH)
     return text + "".join(_explanation(record) for record in records if "evidence" in record)
 
 

@@ -33,6 +33,7 @@ class NameReport:
         self._labels = labels
         self._given: Counter[str] = Counter()
         self._unknown: Counter[str] = Counter()
+        self._asked: Counter[str] = Counter()
 
     @classmethod
     def of(cls, tables: RoomTables) -> NameReport:
@@ -49,21 +50,31 @@ class NameReport:
         names = Counter(prediction.given)
         _add(self._given, names)
         _add(self._unknown, {name: names[name] for name in prediction.unknown_objects})
+        if prediction.unlisted:
+            unread = {name for name in names if name.strip() and self._reader.read(name) is None}
+            asked = unread.difference(prediction.unknown_objects)
+            _add(self._asked, {name: names[name] for name in asked})
 
     def print(self) -> None:
-        """Tell what was read as something else, and what is unknown."""
+        """Tell what was read as something else, what only the model knows, what is unknown."""
         if other := list(self._read_otherwise()):
             more = ", …" if len(other) > _MOST_SHOWN else ""
             echo(f"read as: {', '.join(other[:_MOST_SHOWN])}{more}", err=True)
+        told = f"not in label space {self._labels}, so the model was asked"
+        self._tell(told, self._asked)
         self.print_unknown()
 
     def print_unknown(self) -> None:
-        """Tell what is unknown, the most frequent first."""
-        if self._unknown:
-            shown = self._unknown.most_common(_MOST_SHOWN)
-            more = f", … ({len(self._unknown)} in all)" if len(self._unknown) > len(shown) else ""
+        """Tell what is unknown."""
+        self._tell(f"unknown to label space {self._labels}", self._unknown)
+
+    def _tell(self, what: str, counted: Counter[str]) -> None:
+        """Name the most frequent of some names, with the nearest that are known."""
+        if counted:
+            shown = counted.most_common(_MOST_SHOWN)
+            more = f", … ({len(counted)} in all)" if len(counted) > len(shown) else ""
             names = ", ".join(self._suggested(name, times) for name, times in shown)
-            echo(f"unknown to label space {self._labels}: {names}{more}", err=True)
+            echo(f"{what}: {names}{more}", err=True)
 
     def _watch(self, rooms: Iterable[SceneRoom]) -> Iterator[SceneRoom]:
         for room in rooms:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from roomtables.cli.common import emit, format_option, output_option, render
+from roomtables.cli.completion import complete_labels
 from roomtables.cli.evaluating import check_plots
 from roomtables.cli.printing import as_json, echo
 from roomtables.config import BuildConfig
@@ -18,6 +19,7 @@ from roomtables.online.classifier import RoomTables
 from roomtables.rooms import read_room_lines
 from roomtables.schemas import QUERY, REDUCTIONS
 from roomtables.scorer import DTYPES
+from roomtables.wording import percent
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 _ROWS = {"ground_truth": "Ground truth co-occurrences", "proxy": "Proxy co-occurrences"}
@@ -26,7 +28,7 @@ _ROWS = {"ground_truth": "Ground truth co-occurrences", "proxy": "Proxy co-occur
 @click.command("paper")
 @click.argument("rooms", metavar="ROOMS…", nargs=-1, required=True, type=_FILE)
 @click.option("--labels", multiple=True, default=("mpcat40",), show_default=True,
-              help="Label space of each ROOMS.")  # fmt: skip
+              shell_complete=complete_labels, help="Label space of each ROOMS.")  # fmt: skip
 @click.option("--counts", multiple=True, type=_FILE, help="Counts for each ROOMS.")
 @click.option("--scores", multiple=True, type=_FILE, help="Scores for each ROOMS, for the model's.")
 @click.option("--model", help="Who scores.  [default: household-lm, unless there are scores]")
@@ -91,7 +93,7 @@ def paper_command(
 
 def _text(found: Reproduction) -> str:
     shares = [
-        {name: f"{v:.2%}" if isinstance(v, float) else v for name, v in row.items()}
+        {name: percent(v, 2) if isinstance(v, float) else v for name, v in row.items()}
         for row in found.table_1()
     ]
     accuracies: dict[tuple[str, str], dict[str, Any]] = {}
@@ -100,7 +102,7 @@ def _text(found: Reproduction) -> str:
         row = accuracies.setdefault(
             (trial.rule, trial.source), {"": _ROWS[trial.source], "rule": trial.rule}
         )
-        row[f"{trial.labels}, paper"] = f"{trial.published:.2%}" if trial.published else ""
+        row[f"{trial.labels}, paper"] = percent(trial.published, 2) if trial.published else ""
         row[f"{trial.labels}, ours"] = _ours(trial)
         missing |= trial.evaluation is None
     note = (
@@ -119,7 +121,9 @@ def _ours(trial: Trial) -> str:
     if row["accuracy"] is None:
         return "–"
     low, high = row["interval"]
-    return f"{row['accuracy']:.2%} ({low:.1%} to {high:.1%}, {row['rooms']} rooms)"
+    left = f", {row['unanswered']} unanswered" if row["unanswered"] else ""
+    interval = f"{percent(low)} to {percent(high)}"
+    return f"{percent(row['accuracy'], 2)} ({interval}, {row['rooms']} rooms{left})"
 
 
 def _draw(found: Reproduction, path: Path) -> None:

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 from roomtables.cli.printing import echo
+from roomtables.progress import progress_bar
 
 Item = TypeVar("Item")
 
 
-def progress_bar(items: Sequence[Item], unit: str) -> Iterable[Item]:
+def counted(items: Sequence[Item], what: str) -> Iterator[Item]:
     """The items, with a bar on a terminal where there are several; tqdm is of the extra `build`."""
     if len(items) < 2 or not sys.stderr.isatty():
-        return items
+        yield from items
+        return
     try:
-        from tqdm import tqdm
+        bar = progress_bar(what, len(items), leave=False)
     except ModuleNotFoundError:
-        return items
-    bar: Iterable[Item] = tqdm(items, unit=unit, leave=False)
-    return bar
+        yield from items
+        return
+    with bar:
+        for item in items:
+            yield item
+            bar.update()
 
 
 def write_line(text: str) -> None:

@@ -24,10 +24,11 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
+from roomtables.cli.completion import complete_labels
 from roomtables.cli.names import NameReport
 from roomtables.cli.naming import Namer, keep_names_option
 from roomtables.cli.printing import as_json_line, echo, safe_json
-from roomtables.cli.progress import progress_bar
+from roomtables.cli.progress import counted
 from roomtables.config import BuildConfig, load_labels
 from roomtables.errors import InputError, StoreError
 from roomtables.names import NameReader
@@ -52,7 +53,11 @@ graph_output_option = click.option(
 )
 @click.option("--all", "keep_all", is_flag=True, help="Keep .house rooms that the paper drops.")
 @click.option(
-    "--labels", default="mpcat40", show_default=True, help="Object labels of .house files."
+    "--labels",
+    default="mpcat40",
+    show_default=True,
+    shell_complete=complete_labels,
+    help="Object labels of .house files.",
 )
 @labelspace_option
 @mapping_option
@@ -109,7 +114,7 @@ def rooms(
 def _scenes(paths: Iterable[Path], options: ReadOptions) -> Iterator[Scene]:
     """The scenes of all paths, one at a time; ids that several scenes could share get a prefix."""
     files = [file for path in paths for file in scene_files(path)]
-    for file in progress_bar(files, "scene"):
+    for file in counted(files, "scenes"):
         scene = read_scene(file, options)
         if len(files) > 1 and scene.local_ids:
             name = scene.name

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,16 @@ from roomtables.errors import InputError
 from roomtables.evaluation import statistics
 from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables, classify_rooms
-from roomtables.online.prediction import Prediction
+from roomtables.online.prediction import NONE, Prediction
 from roomtables.rooms import Room, read_room_lines
 
 NO_TRUTH = "no true label"
 NOT_A_CANDIDATE = "true label is not a candidate"
 NO_OBJECTS = "no objects"
+# Why an evaluated room has no answer.
+NOT_HELD = "no table holds its combination"
+NOTHING_KNOWN = "no known object"
+TOO_UNSURE = "the answer is too unsure"
 TOP = 3
 
 
@@ -36,6 +40,16 @@ class Judged:
     def correct(self) -> bool:
         """Right if the answer is any of the true labels; unanswered is wrong."""
         return self.prediction.room in self.truth
+
+    @property
+    def why_unanswered(self) -> str | None:
+        """Why the room has no answer; ``None`` where it has one."""
+        found = self.prediction
+        if found.room is not None:
+            return None
+        if found.answered_by != NONE:
+            return TOO_UNSURE
+        return NOT_HELD if found.objects else NOTHING_KNOWN
 
 
 @dataclass(frozen=True)
@@ -69,14 +83,22 @@ class Evaluation:
         per_room = self.per_room()
         return float(sum(row["accuracy"] for row in per_room.values()) / len(per_room))
 
+    @property
+    def unanswered(self) -> Counter[str]:
+        """How many rooms have no answer, by the reason; they count as wrong."""
+        return Counter(why for judged in self.judged if (why := judged.why_unanswered))
+
+    @property
+    def backed_off(self) -> int:
+        """How many rooms rule ``pooled`` decided, as nothing could answer by the rule asked for."""
+        return sum(judged.prediction.backed_off for judged in self.judged)
+
     def per_room(self) -> dict[str, dict[str, Any]]:
-        """Rooms, correct and accuracy per true label; a room counts under its first label."""
-        rooms = Counter(judged.truth[0] for judged in self.judged)
-        correct = Counter(judged.truth[0] for judged in self.judged if judged.correct)
-        return {
-            label: {"rooms": n, "correct": correct[label], "accuracy": correct[label] / n}
-            for label, n in sorted(rooms.items())
-        }
+        """Counts of rooms and the accuracy per true label; a room counts under its first label."""
+        by_label: dict[str, list[Judged]] = defaultdict(list)
+        for judged in self.judged:
+            by_label[judged.truth[0]].append(judged)
+        return {label: _counted(by_label[label]) for label in sorted(by_label)}
 
     def confusion(self) -> list[dict[str, Any]]:
         """How many rooms of each true label got each answer (``None``: unanswered)."""
@@ -148,10 +170,23 @@ class Evaluation:
             "confusion": self.confusion(),
             "baselines": self.baselines(),
             "answered_by": dict(Counter(j.prediction.answered_by for j in self.judged)),
-            "backed_off": sum(j.prediction.backed_off for j in self.judged),
+            "backed_off": self.backed_off,
+            "unanswered": self.unanswered.total(),
             "skipped": dict(self.skipped),
             **extra,
         }
+
+
+def _counted(judged: Sequence[Judged]) -> dict[str, Any]:
+    """How rooms of one true label did."""
+    correct = sum(room.correct for room in judged)
+    return {
+        "rooms": len(judged),
+        "correct": correct,
+        "accuracy": correct / len(judged),
+        "unanswered": sum(room.prediction.room is None for room in judged),
+        "backed_off": sum(room.prediction.backed_off for room in judged),
+    }
 
 
 def evaluate(

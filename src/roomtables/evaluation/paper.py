@@ -53,11 +53,13 @@ class Trial:
         row = {"labels": self.labels, "source": self.source, "rule": self.rule,
                "published": self.published}  # fmt: skip
         if found is None:
-            return row | {"rooms": None, "correct": None, "accuracy": None, "interval": None}
+            nothing = ("rooms", "correct", "unanswered", "accuracy", "interval")
+            return row | dict.fromkeys(nothing)
         interval = bootstrap_interval(found.outcomes)
         return row | {
             "rooms": found.rooms,
             "correct": found.correct,
+            "unanswered": found.unanswered.total(),
             "accuracy": found.accuracy,
             "interval": [interval.low, interval.high],
         }

@@ -37,7 +37,7 @@ def load_scorer(
     Parameters
     ----------
     model
-        ``household-lm`` (embedded), a local folder, or a name on the model hub.
+        ``household-lm`` (embedded), a local folder, a GGUF file, or a name on the model hub.
     revision
         Branch, tag or commit of a hub model.
     dtype
@@ -56,10 +56,10 @@ def load_scorer(
     Raises
     ------
     ModelError
-        The model cannot be found, read, or used to score sentences; or torch does not fit into the
-        address space that `ulimit -v` leaves.
+        The model cannot be found, read, or used to score sentences; there is no room for it in
+        memory; or torch does not fit into the address space that `ulimit -v` leaves.
     MissingExtraError
-        torch or transformers is not installed.
+        torch or transformers, or for a GGUF file gguf or accelerate, is not installed.
     """
     check_address_space()
     with needing("loading a language model", "lm"):

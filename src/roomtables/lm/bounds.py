@@ -10,23 +10,25 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from torch.nn.modules import module as torch_module
 
 from roomtables.errors import ModelError
-from roomtables.limits import JSON_BYTES, MalformedError, json_value
 from roomtables.lm.folders import ModelFolder
+from roomtables.lm.gguf import MOST_COUNT
+from roomtables.lm.weights import held_by
 
-MOST_COUNT = 10_000
-"""Of layers, heads, experts, labels: ten times what the largest models have."""
 _COUNTS = re.compile(r"num_.*|.*layers?|.*_num")
 _MODULES_A_TENSOR = 20  # dropouts, activations and containers hold none
 _SPARE_MODULES = 1_000
 _TIMES = 8  # a tensor is registered anew when it is loaded, tied or moved
 _SPARE_ELEMENTS = 1 << 22
-_HEADER_BYTES = 8  # of a safetensors file, which say how long its header is
+
+
+def _configuration(folder: ModelFolder) -> str:
+    """Where the model's configuration stands."""
+    return "its metadata" if folder.gguf else "config.json"
 
 
 def refuse_counts(folder: ModelFolder) -> None:
@@ -66,18 +68,19 @@ def bounded_by_weights(folder: ModelFolder) -> Iterator[None]:
     ModelError
         More modules or elements are built than the weights can fill.
     """
-    tensors, elements = _held(folder.weight_files())
+    held = held_by(folder)
     left = {
-        "modules": _SPARE_MODULES + _MODULES_A_TENSOR * tensors,
-        "elements": _SPARE_ELEMENTS + _TIMES * elements,
+        "modules": _SPARE_MODULES + _MODULES_A_TENSOR * held.tensors,
+        "elements": _SPARE_ELEMENTS + _TIMES * held.elements,
     }
 
     def take(what: str, number: int) -> None:
         left[what] -= number
         if left[what] < 0:
             raise ModelError(
-                f"{folder.name}: config.json asks for a larger network than its weights "
-                f"({tensors} tensors) can fill; fetch the model again, or use another --model"
+                f"{folder.name}: {_configuration(folder)} asks for a larger network than its "
+                f"weights ({held.tensors} tensors) can fill; fetch the model again, or use another "
+                "--model"
             )
 
     def parameter(module: Any, name: str, tensor: Any) -> None:
@@ -92,18 +95,3 @@ def bounded_by_weights(folder: ModelFolder) -> Iterator[None]:
     finally:
         for hook in hooks:
             hook.remove()
-
-
-def _held(files: list[Path]) -> tuple[int, int]:
-    """How many tensors some safetensors files hold, and at most how many elements."""
-    tensors = elements = 0
-    for path in files:
-        with path.open("rb") as file:
-            length = int.from_bytes(file.read(_HEADER_BYTES), "little")
-            header = file.read(min(length, JSON_BYTES))
-        try:
-            tensors += len(json_value(header))
-        except (MalformedError, TypeError):
-            continue  # loading it says what is wrong with the file
-        elements += path.stat().st_size  # a byte at least for each
-    return tensors, elements

@@ -1,4 +1,4 @@
-"""From a model's name to a folder with configuration, safetensors weights and a tokenizer.
+"""From a model's name to its files: a folder with safetensors weights, or one GGUF file.
 
 Pickled weights, which can run code, are refused. Neither torch nor transformers is imported here.
 """
@@ -13,6 +13,7 @@ from typing import Any
 
 from roomtables.errors import ModelError, first_line, needing
 from roomtables.limits import JSON_BYTES, json_value, read_bytes
+from roomtables.lm.gguf import GgufHeader, is_gguf, read_header
 
 EMBEDDED_MODEL = "household-lm"
 EMBEDDED_FOLDER = Path(__file__).parents[1] / "models" / EMBEDDED_MODEL
@@ -46,13 +47,22 @@ PICKLES = ("pytorch_model*.bin", "*.pt", "*.pth", "*.ckpt")
 
 @dataclass(frozen=True)
 class ModelFolder:
-    """A model on disk: its ``name`` (safe in a file's name), ``path``, ``config.json`` parsed, and
-    the ``commit`` of a hub model."""
+    """A model on disk.
+
+    Attributes
+    ----------
+    name : safe in a file's name
+    path : the folder, or the GGUF file
+    config : ``config.json`` parsed; empty for a GGUF file
+    commit : of a hub model
+    gguf : what a GGUF file says of itself; ``None`` for a folder
+    """
 
     name: str
     path: Path
     config: dict[str, Any]
     commit: str | None = None
+    gguf: GgufHeader | None = None
 
     @property
     def model_type(self) -> str:
@@ -70,7 +80,7 @@ class ModelFolder:
                 return ""
 
     def weight_files(self) -> list[Path]:
-        """The safetensors files that make up the weights, sorted by name.
+        """The files that make up the weights, sorted by name: safetensors, or the GGUF file.
 
         As for transformers, weights in one file come before those that an index lists.
 
@@ -79,6 +89,8 @@ class ModelFolder:
         ModelError
             The index cannot be read, or lists other than safetensors files of this folder.
         """
+        if self.gguf:
+            return [self.path]
         single = self.path / "model.safetensors"
         index = self.path / "model.safetensors.index.json"
         if single.is_file() or not index.is_file():
@@ -94,37 +106,47 @@ class ModelFolder:
         return [self.path / shard for shard in sorted(set(shards))]
 
     def tokenizer_files(self) -> list[Path]:
-        """Every file that decides how text becomes tokens, sorted by name."""
+        """Every file that decides how text becomes tokens, sorted by name; a GGUF file's tokenizer
+        is in the file itself."""
         names = sorted(TOKENIZER_FILES + TOKENIZER_SETTINGS)
         return [self.path / name for name in names if (self.path / name).is_file()]
 
 
 def resolve(model: str, revision: str | None = None) -> ModelFolder:
-    """Find a model's folder and check that nothing is missing from it.
+    """Find a model's folder or GGUF file and check that nothing is missing from it.
 
-    A local folder is taken as it is; a hub name is downloaded (safetensors only), or taken from
+    What is local is taken as it is; a hub name is downloaded (safetensors only), or taken from
     the hub client's cache where the network does not answer.
 
     Raises
     ------
     ModelError
-        No such model, or its folder lacks weights, a configuration, or a tokenizer.
+        No such model, its folder lacks weights, a configuration, or a tokenizer, or its GGUF file
+        is damaged.
     MissingExtraError
-        The model is on the hub, and the hub's client is not installed.
+        The hub's client, or for a GGUF file package gguf, is not installed.
     """
     if not model.strip():
-        raise ModelError("the model's name is empty; give --model a hub name or a folder")
+        raise ModelError("the model's name is empty; give --model a hub name, folder or GGUF file")
     local = EMBEDDED_FOLDER if model == EMBEDDED_MODEL else Path(model).expanduser()
     if local.is_dir():
         path, commit = Path(os.path.abspath(local)), None
         name = path.name
+    elif is_gguf(local):
+        path = Path(os.path.abspath(local))
+        return ModelFolder(_safe(path.stem), path, {}, gguf=read_header(path))
+    elif local.is_file():
+        raise ModelError(f"{local} is no GGUF file; give --model its folder, or a GGUF file")
     elif model == EMBEDDED_MODEL or _is_path(model):
         raise ModelError(f"no model folder at {local}; give --model an existing folder")
     else:
         path, commit = _from_hub(model, revision)
         name = model.replace("/", "--")
-    safe = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "model"
-    return _checked(model, safe, path, commit)
+    return _checked(model, _safe(name), path, commit)
+
+
+def _safe(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "model"
 
 
 def _is_path(model: str) -> bool:
@@ -133,6 +155,8 @@ def _is_path(model: str) -> bool:
 
 def _checked(model: str, name: str, path: Path, commit: str | None) -> ModelFolder:
     if not (path / "config.json").is_file():
+        if found := sorted(path.glob("*.gguf")):
+            raise ModelError(f"{model}: a folder of GGUF files; give --model one, as {found[0]}")
         raise ModelError(
             f"{model}: no config.json in {path}; give --model a folder that save_pretrained() wrote"
         )
@@ -205,6 +229,8 @@ def _from_hub(model: str, revision: str | None) -> tuple[Path, str | None]:
         return _from_hub_cache(model, revision, patterns, error)
     files = [sibling.rfilename for sibling in info.siblings or []]
     if not {"model.safetensors", "model.safetensors.index.json"} & set(files):
+        if any(file.endswith(".gguf") for file in files):
+            raise ModelError(f"{model} holds GGUF files; fetch one, and give --model its path")
         pickled = [file for file in files if Path(file).match("*.bin") or Path(file).match("*.pt")]
         raise _pickled(model, (pickled or ["no model.safetensors"])[0])
     try:

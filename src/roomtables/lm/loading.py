@@ -1,4 +1,4 @@
-"""Loads a model and its tokenizer with transformers: safetensors only, no code of the model's own.
+"""Loads a model and its tokenizer with transformers: safetensors or GGUF, no code of its own.
 
 What cannot be loaded is a ModelError of one line; transformers' own output is silenced.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib.metadata import version
 from typing import Any
 
 import torch
@@ -19,10 +20,12 @@ from roomtables.lm.causal import CausalBackend
 from roomtables.lm.encoding import Encoder
 from roomtables.lm.folders import ModelFolder, resolve
 from roomtables.lm.forward import Forward
+from roomtables.lm.gguf_loading import load_gguf_tokenizer, readable
 from roomtables.lm.identity import device_class, scorer_id, scoring_kind
 from roomtables.lm.kernels import accelerate
 from roomtables.lm.masked import MaskedBackend
 from roomtables.lm.scorer import SentenceScorer, threads_for, using_threads
+from roomtables.lm.weights import refuse_where_short
 
 _log = logging.getLogger(__name__)
 
@@ -47,6 +50,7 @@ def load(
         raise ModelError(f"the token budget is {token_budget}; give at least 1")
     folder = resolve(model, revision)
     kind = scoring_kind(folder, scoring)
+    refuse_where_short(folder, dtype, place)
     identity = scorer_id(folder, dtype, place, kind)
     _quieten()
     tokenizer = _load_tokenizer(folder)
@@ -61,13 +65,9 @@ def load(
     return SentenceScorer(
         backend,
         scorer_id=identity,
-        provenance={
-            "model": model,
-            "revision": folder.commit or revision or "",
-            "dtype": dtype,
-            "scoring": kind,
-            **_provenance(backend, place, parameters),
-        },
+        provenance={"model": model, "revision": folder.commit or revision or ""}
+        | {"dtype": dtype, "scoring": kind, "parameters": str(parameters)}
+        | _provenance(folder, backend, place),
         token_budget=budget,
         threads=threads,
         progress=progress,
@@ -75,15 +75,16 @@ def load(
 
 
 def _provenance(
-    backend: CausalBackend | MaskedBackend, place: str, parameters: int
+    folder: ModelFolder, backend: CausalBackend | MaskedBackend, place: str
 ) -> dict[str, str]:
+    file = folder.gguf
     return {
         "device": _device_name(place),
         "strategy": backend.strategy,
         "fallbacks": "; ".join(backend.fallbacks),
-        "parameters": str(parameters),
         "torch": torch.__version__,
         "transformers": transformers.__version__,
+        **({"quantisation": file.quantisation, "gguf": version("gguf")} if file else {}),
     }
 
 
@@ -103,6 +104,8 @@ def _quieten() -> None:
 
 
 def _load_tokenizer(folder: ModelFolder) -> Any:
+    if folder.gguf:
+        return load_gguf_tokenizer(folder)
     refuse_counts(folder)  # transformers reads the configuration here, too
     try:
         return transformers.AutoTokenizer.from_pretrained(
@@ -116,24 +119,30 @@ def _load_tokenizer(folder: ModelFolder) -> Any:
 
 
 def load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any:
-    """The transformers model of a folder, ready to run without gradients.
+    """The transformers model of a folder or GGUF file, ready to run without gradients.
 
     Raises
     ------
     ModelError
         Its architecture is unknown, or its weights are damaged, incomplete or too large.
+    MissingExtraError
+        It is a GGUF file, and what reads one is not installed.
     """
-    _refuse_foreign_code(folder)
-    refuse_counts(folder)
+    if folder.gguf is None:
+        _refuse_foreign_code(folder)
+        refuse_counts(folder)
     auto = (
         transformers.AutoModelForCausalLM if kind == "causal" else transformers.AutoModelForMaskedLM
     )
     try:
-        with _out_of_memory_named(folder, dtype), bounded_by_weights(folder):
+        with (
+            _out_of_memory_named(folder, dtype),
+            bounded_by_weights(folder),
+            readable(folder) as source,
+        ):
             network, report = auto.from_pretrained(
-                folder.path,
+                **source,
                 dtype=getattr(torch, dtype),
-                use_safetensors=True,
                 trust_remote_code=False,
                 local_files_only=True,
                 output_loading_info=True,

@@ -19,6 +19,7 @@ import torch
 from roomtables.errors import ModelError
 from roomtables.packing.sequences import FloatArray
 from roomtables.packing.tokens import IntArray
+from roomtables.progress import progress_bar
 from roomtables.scorer import ONE_THREAD_PARAMETERS, SentenceScore
 from roomtables.token_limits import quoted
 
@@ -116,12 +117,13 @@ class SentenceScorer:
         """One score per sentence, in order, lazily and in bounded memory; raises as :meth:`score`.
 
         ``total`` is the number of sentences, for the estimate of the time left; read from
-        ``sentences`` where it has a length.
+        ``sentences`` where it has a length. A progress bar is labelled by their attribute ``what``.
         """
         if total is None and isinstance(sentences, Sized):
             total = len(sentences)
         stream = iter(sentences)
-        meter = Meter(total, self.progress)
+        what = getattr(sentences, "what", "scoring")
+        meter = Meter(total, what if self.progress else None)
         try:
             while window := list(islice(stream, self.window)):
                 yield from self._score_window(window, meter)
@@ -174,19 +176,16 @@ def _out_of_memory(error: Exception) -> bool:
 class Meter:
     """Counts what is done of a stream of sentences, window by window.
 
-    Where ``enabled`` a progress bar on stderr shows sentences, tokens run, the share of tokens that
-    shared prefixes save, and the time left, for which ``total`` sentences must be known.
+    A progress bar on stderr, labelled ``what``, shows sentences, the time left, for which ``total``
+    sentences must be known, tokens run, and the share of tokens that shared prefixes save. Without
+    a label there is none.
     """
 
-    def __init__(self, total: int | None = None, enabled: bool = False) -> None:
+    def __init__(self, total: int | None = None, what: str | None = None) -> None:
         self.tokens_asked = 0
         self.tokens_run = 0
         self._finished = 0
-        self._bar: Any = None
-        if enabled:
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=total, desc="scoring", unit=" sentences", mininterval=0.5)
+        self._bar: Any = None if what is None else progress_bar(what, total)
 
     def begin(self, sentences: int, tokens: int) -> None:
         """A window of ``sentences`` holding ``tokens`` is about to be scored."""

@@ -18,6 +18,7 @@ from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.strategies import ROW_NODES, Strategy
+from roomtables.lm.weights import LARGEST_IN_FLOAT32
 from roomtables.packing.sequences import FloatArray, Sequences, sort_sequences
 from roomtables.packing.tokens import IntArray
 from roomtables.scorer import TOLERANCE_NATS
@@ -25,7 +26,6 @@ from roomtables.scorer import TOLERANCE_NATS
 _log = logging.getLogger(__name__)
 
 _SAMPLE = 8
-_LARGEST_IN_FLOAT32 = 1_500_000_000  # weights; beyond, the check runs in the model's own dtype
 
 
 def choose(
@@ -135,7 +135,7 @@ def in_float32(forward: Forward) -> Iterator[None]:
     tensors = [*model.parameters(), *model.buffers()]
     half = {torch.float16, torch.bfloat16}
     cast = [(tensor, tensor.dtype) for tensor in tensors if tensor.dtype in half]
-    if sum(tensor.numel() for tensor, _ in cast) > _LARGEST_IN_FLOAT32:
+    if sum(tensor.numel() for tensor, _ in cast) > LARGEST_IN_FLOAT32:
         cast = []
 
     def back() -> None:

@@ -16,14 +16,13 @@ import re
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from tqdm import tqdm
 
 from roomtables.config import BuildConfig
 from roomtables.errors import (
@@ -35,6 +34,7 @@ from roomtables.errors import (
 )
 from roomtables.offline.model import LazyScorer
 from roomtables.offline.scoring import Scored, Work, check_identity, score_locally, scored
+from roomtables.progress import progress_bar
 from roomtables.storage.files import writing
 from roomtables.storage.score_cache import SentenceCache
 
@@ -202,16 +202,14 @@ def _collect(work: Work, rows: Iterable[Mapping[str, Any]], workers: int) -> Sco
     """
     done = Scored(workers=workers)
     started = time.monotonic()
-    bar = tqdm(
-        total=work.total, unit="sentence", desc="scoring", disable=not work.progress, leave=False
-    )
-    with bar:
+    with progress_bar(work.what, work.total) if work.progress else nullcontext() as bar:
         for row in rows:
             work.cache.adopt()
             if row["error"]:
                 raise ModelError(row["error"])
             done.sentences += row["sentences"]
             done.tokens += row["tokens"]
-            bar.update(row["sentences"])
+            if bar is not None:
+                bar.update(row["sentences"])
     done.seconds = time.monotonic() - started
     return done

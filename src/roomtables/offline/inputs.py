@@ -12,13 +12,14 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roomtables.config import NONE, BuildConfig, load_labels
+from roomtables.config import NONE, BuildConfig
 from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, normalise
 from roomtables.limits import FLOAT32_MAX, LARGEST_COUNT
 from roomtables.offline.combinations import Asked, check_key_size, resolve
 from roomtables.rooms import read_room_lines
+from roomtables.storage.spaces import find_labels
 
 log = logging.getLogger(__name__)
 
@@ -47,15 +48,15 @@ class Inputs:
     asked: Asked
 
     @classmethod
-    def read(cls, config: BuildConfig) -> Inputs:
-        """Read and validate.
+    def read(cls, config: BuildConfig, tables: Path = Path("tables")) -> Inputs:
+        """Read and validate; a label space may be one that is published under ``tables``.
 
         Raises
         ------
         RoomtablesError
             A file is missing or malformed, or a setting makes no sense.
         """
-        labels = load_labels(config.labels)
+        labels = find_labels(config.labels, tables)
         check_key_size(len(labels.objects), config.k)
         sources = 1 if config.counts is None else 2
         wanted = resolve(config.combinations, labels, config.k, sources)

@@ -7,13 +7,12 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tqdm import tqdm
-
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
 from roomtables.limits import FLOAT32_MAX
 from roomtables.offline.model import LazyScorer
 from roomtables.offline.workspace import Workspace, WorkTable
+from roomtables.progress import progress_bar
 from roomtables.scorer import Scorer, SentenceScore
 from roomtables.storage.score_cache import SentenceCache
 
@@ -21,11 +20,19 @@ from roomtables.storage.score_cache import SentenceCache
 PART_SENTENCES = 20_000
 PART_SECONDS = 60.0
 _FETCH = 4096
+# What is scored, by the table that asks for it.
+_KINDS = {
+    "single_sentences": "single-object sentences",
+    "new_query_sentences": "query sentences",
+}
 
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be scored: the distinct sentences of a table, sorted, into a cache."""
+    """What is to be scored: the distinct sentences of a table, sorted, into a cache.
+
+    ``asked`` is the name of the table that they were asked for.
+    """
 
     workspace: Workspace
     missing: WorkTable
@@ -34,6 +41,12 @@ class Work:
     config: BuildConfig
     total: int
     progress: bool = False
+    asked: str = ""
+
+    @property
+    def what(self) -> str:
+        """What the sentences are, for people."""
+        return _KINDS.get(self.asked, "sentences")
 
     def sentences(self) -> Iterator[str]:
         """The sentences, sorted, lazily, on a cursor of their own."""
@@ -84,26 +97,26 @@ def score_locally(work: Work) -> Scored:
     """
     scorer = work.model.load(work.progress)
     check_identity(scorer, work.cache)
-    bar = tqdm(
-        total=work.total, desc="scoring", unit=" sentences", mininterval=0.5,
-        disable=not work.progress or work.model.shows_progress,
-    )  # fmt: skip
+    shown = work.progress and not work.model.shows_progress
+    bar = progress_bar(work.what, work.total) if shown else None
     done = Scored()
     kept: list[str] = []
     scores: list[SentenceScore] = []
     started = part_started = time.monotonic()
     try:
-        for sentence, score in scored(scorer, work.sentences(), work.total):
+        for sentence, score in scored(scorer, work.sentences(), work.total, work.what):
             kept.append(sentence)
             scores.append(score)
             done.tokens += score.token_count
-            bar.update()
+            if bar is not None:
+                bar.update()
             if len(kept) >= PART_SENTENCES or time.monotonic() - part_started > PART_SECONDS:
                 work.cache.append(kept, scores)
                 done.sentences += len(kept)
                 kept, scores, part_started = [], [], time.monotonic()
     finally:  # an interrupted build keeps what it has
-        bar.close()
+        if bar is not None:
+            bar.close()
         if kept:
             work.cache.append(kept, scores)
             done.sentences += len(kept)
@@ -128,9 +141,10 @@ def check_identity(scorer: Scorer, cache: SentenceCache) -> None:
 class _Watched:
     """Sentences on their way to a scorer, which may read ahead of what it has answered."""
 
-    def __init__(self, sentences: Iterator[str], total: int) -> None:
+    def __init__(self, sentences: Iterator[str], total: int, what: str) -> None:
         self._sentences = sentences
         self._total = total
+        self.what = what  # the label of a scorer's progress bar
         self.waiting: deque[str] = deque()
 
     def __len__(self) -> int:
@@ -144,16 +158,16 @@ class _Watched:
 
 
 def scored(
-    scorer: Scorer, sentences: Iterator[str], total: int
+    scorer: Scorer, sentences: Iterator[str], total: int, what: str = "sentences"
 ) -> Iterator[tuple[str, SentenceScore]]:
-    """Each of ``total`` sentences with its score.
+    """Each of ``total`` sentences with its score; ``what`` they are labels a progress bar.
 
     Raises
     ------
     ModelError
         A score is not finite.
     """
-    watched = _Watched(sentences, total)
+    watched = _Watched(sentences, total, what)
     for score in scorer.score_stream(watched):
         sentence = watched.waiting.popleft()
         if not abs(score.log_prob) <= FLOAT32_MAX:  # nor is NaN

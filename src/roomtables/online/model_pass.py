@@ -170,10 +170,11 @@ def _picks_listed(room: Prediction) -> bool:
 def _askable(unlisted: Iterable[str]) -> list[str]:
     """The unlisted names of a room that the model is asked about, as a sentence says them.
 
-    The sentence needs their plurals.
+    The sentence needs their plurals. Where there are too many, in whatever order they are given, it
+    is asked about the same ones.
     """
-    names = dict.fromkeys(as_spoken(name) for name in unlisted if _is_short(name))
-    spoken = [name for name in names if any(map(str.isalpha, name))]
+    names = {as_spoken(name) for name in unlisted if _is_short(name)}
+    spoken = sorted(name for name in names if any(map(str.isalpha, name)))
     return [name for name in spoken if can_inflect(name)][:_MOST_UNLISTED]
 
 

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from roomtables.names import NameReader
+from roomtables.wording import percent
 
 
 @dataclass(frozen=True)
@@ -57,5 +58,5 @@ def summary(rows: Sequence[CheckedName]) -> str:
     objects = sum(row.times for row in rows)
     if objects > len(rows):
         share = sum(row.times for row in understood) / objects
-        line += f", {share:.1%} of {objects:,} objects"
+        line += f", {percent(share)} of {objects:,} objects"
     return line

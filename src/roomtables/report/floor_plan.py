@@ -19,6 +19,7 @@ from roomtables.labels import normalise
 from roomtables.report.text import drawn
 from roomtables.scenes.scene import Box, Point, Scene, SceneRoom
 from roomtables.storage.files import write_aside
+from roomtables.wording import percent
 
 _SUFFIXES = (".html", ".png", ".svg")
 _RIGHT, _WRONG, _UNJUDGED = "#1b7f3b", "#c0392b", "#4a6fa5"
@@ -182,25 +183,29 @@ def _caption(room: SceneRoom, answers: Answers) -> str:
         return f"{room.room_id}\n{truth or 'no answer'}"
     label, probability = answers[room.room_id]
     wrong = f"\n(true: {truth})" if _is_right(room, answers) is False else ""
-    return f"{room.room_id}\n{label} {probability:.0%}{wrong}"
+    return f"{room.room_id}\n{label} {percent(probability, 0)}{wrong}"
 
 
 def _page(name: str, rooms: Sequence[SceneRoom], answers: Answers, picture: str) -> str:
     svg = picture[picture.index("<svg") :]
     rows = "\n".join(_row(room, answers) for room in rooms)
     return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{html.escape(name)}</title>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html.escape(name)}</title>
 <style>
-body {{ font-family: sans-serif; margin: 2em; }}
+body {{ font-family: sans-serif; margin: 4vw; }}
 svg {{ max-width: 100%; height: auto; }}
 td, th {{ text-align: left; padding: 0.2em 1em 0.2em 0; vertical-align: top; }}
+div {{ overflow-x: auto; }}
+@media (max-width: 600px) {{ td, th {{ font-size: 13px; padding-right: 0.4em; }} }}
 </style></head><body>
 <h1>{html.escape(name)}</h1>
 {svg}
-<table>
+<div><table>
 <tr><th>room</th><th>answer</th><th>probability</th><th>truth</th><th>objects</th></tr>
 {rows}
-</table></body></html>
+</table></div></body></html>
 """
 
 

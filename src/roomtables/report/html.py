@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from roomtables.wording import percent
+
 STYLE = """
 :root { color-scheme: light; --line: #d8dde3; --ink: #1c2733; }
 body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); margin: 0 auto; max-width: 1180px;
   padding: 0 24px 64px; }
 h1 { font-size: 28px; margin: 32px 0 4px; } h2 { font-size: 20px; margin: 40px 0 6px; }
-p { max-width: 78ch; margin: 6px 0 12px; }
+p { max-width: 78ch; margin: 6px 0 12px; overflow-wrap: anywhere; }
 nav a { margin-right: 14px; } a { color: #2257a8; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: 3px 8px; text-align: left; border-bottom: 1px solid var(--line);
@@ -27,9 +29,20 @@ th { font-weight: 600; background: #fff; } td.n { text-align: right; }
 .bar { position: relative; min-width: 170px; } .bar i { position: absolute; inset: 4px auto 4px 0;
   background: #bcd3f2; border-radius: 2px; } .bar b { position: relative; font-weight: 400;
   padding-left: 4px; }
-.columns { display: grid; grid-template-columns: repeat(auto-fit, minmax(420px, 1fr));
-  gap: 0 32px; }
+.columns { display: grid; gap: 0 32px;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 420px), 1fr)); }
+.columns > div { min-width: 0; }
+.wide { overflow-x: auto; }
 svg { max-width: 100%; height: auto; }
+@media (max-width: 600px) {
+  body { padding: 0 12px 48px; } nav a { display: inline-block; padding: 4px 0; }
+  table { font-size: 13px; } th { font-size: 12px; } th, td { padding: 3px; }
+  .bar { min-width: 64px; }
+  #about td { overflow-wrap: anywhere; }
+}
+@media (hover: none) { .heat td:hover::after { content: attr(title); position: fixed; left: 12px;
+  bottom: 12px; z-index: 9; padding: 6px 10px; border: 1px solid var(--line); border-radius: 6px;
+  background: #fff; color: var(--ink); font-size: 14px; } }
 """
 
 
@@ -49,15 +62,19 @@ def page(title: str, sections: Sequence[tuple[str, str, str]]) -> str:
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of escaped text."""
-    return f"<p>{escape(text)}</p>\n"
+    """A paragraph of escaped text, in which no line begins with a percent sign."""
+    return f"<p>{escape(text).replace(' %', '&nbsp;%')}</p>\n"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; numbers stand to the right, :class:`Bar` cells are drawn."""
+    """A table; numbers stand to the right, :class:`Bar` cells are drawn.
+
+    On a narrow screen cells break their lines, and what is wider still scrolls by itself.
+    """
     heads = "".join(f"<th>{escape(name)}</th>" for name in head)
     lines = "\n".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
-    return f"<table><thead><tr>{heads}</tr></thead><tbody>\n{lines}\n</tbody></table>\n"
+    whole = f"<table><thead><tr>{heads}</tr></thead><tbody>\n{lines}\n</tbody></table>"
+    return f'<div class="wide">{whole}</div>\n'
 
 
 class Bar(float):
@@ -66,7 +83,8 @@ class Bar(float):
 
 def _cell(value: object) -> str:
     if isinstance(value, Bar):
-        return f'<td class="bar"><i style="width:{100 * value:.1f}%"></i><b>{value:.1%}</b></td>'
+        bar = f'<i style="width:{100 * value:.1f}%"></i><b>{percent(value)}</b>'
+        return f'<td class="bar">{bar}</td>'
     if isinstance(value, int | float):
         text = f"{value:,}" if isinstance(value, int) else f"{value:.3f}"
         return f'<td class="n">{text}</td>'

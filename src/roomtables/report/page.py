@@ -17,6 +17,7 @@ from roomtables.report import html
 from roomtables.report.html import Bar
 from roomtables.rooms import Room
 from roomtables.storage.views import connect, select
+from roomtables.wording import counts, percent
 
 _SHOWN = 15
 _SIGNATURES = 6
@@ -133,8 +134,8 @@ def _map(connection: Any, source: str) -> str:
     )
     columns: Sequence[str] = rows[0][1] if rows else ()
     return html.paragraph(
-        "In percent, most informative object first; point at a cell for the exact number. After "
-        "each object its entropy in nats."
+        "In percent, most informative object first; point at a cell, or tap it, for the exact "
+        "number. After each object its entropy in nats."
     ) + html.heat_map(
         "object", columns, ((f"{name} {entropy:.2f}", shares) for name, _, shares, entropy in rows)
     )
@@ -146,27 +147,6 @@ def _results(tables: RoomTables, rooms: Sequence[Room]) -> list[Section]:
     found = evaluate(rooms, tables)
     picture = rendered(calibration_figure([found]), "svg").decode()
     drawn = picture[picture.index("<svg") :]
-    interval = found.statistics()["accuracy_interval"]
-    baselines, answered = found.baselines(), found.as_json()["answered_by"]
-    headline = html.paragraph(
-        f"{found.correct} of {found.rooms} rooms right: {found.accuracy:.1%} (95 % interval "
-        f"{interval['low']:.1%} to {interval['high']:.1%}), macro {found.macro_accuracy:.1%}, "
-        f"right among the top 3 {found.top_accuracy:.1%}; always the most frequent room "
-        f"{baselines['majority']:.1%}, a uniform guess {baselines['uniform']:.1%}. "
-        f"{_decision_text(tables.decision)}."
-    )
-    per_room = html.table(
-        ("room", "rooms", "right", "accuracy"),
-        (
-            (room, row["rooms"], row["correct"], Bar(row["accuracy"]))
-            for room, row in found.per_room().items()
-        ),
-    )
-    skipped = ", ".join(f"{why}: {n}" for why, n in found.skipped.items()) or "none"
-    coverage = html.paragraph(
-        f"Answered by: {', '.join(f'{by} {n}' for by, n in sorted(answered.items()))}; left out: "
-        f"{skipped}. Names that no table knows: {_unknown(found)}."
-    )
     calibration = html.paragraph(
         f"Expected calibration error {expected_calibration_error(found.reliability()):.3f}; mean "
         f"risk over coverage {area_under_risk(found.risk_coverage()):.3f}. Left: how often an "
@@ -174,11 +154,45 @@ def _results(tables: RoomTables, rooms: Sequence[Room]) -> list[Section]:
         "the surest rooms are answered."
     )
     return [
-        ("accuracy", "Accuracy", headline + per_room),
+        ("accuracy", "Accuracy", _accuracy(found, tables.decision)),
         ("confusion", "Confusion", _confusion(found)),
-        ("coverage", "Coverage", coverage),
+        ("coverage", "Coverage", _coverage(found)),
         ("calibration", "Knowing when it does not know", calibration + drawn),
     ]
+
+
+def _accuracy(found: Evaluation, decision: Decision) -> str:
+    interval, baselines = found.statistics()["accuracy_interval"], found.baselines()
+    headline = html.paragraph(
+        f"{found.correct} of {found.rooms} rooms right: {percent(found.accuracy)} (95 % interval "
+        f"{percent(interval['low'])} to {percent(interval['high'])}), "
+        f"macro {percent(found.macro_accuracy)}, "
+        f"right among the top 3 {percent(found.top_accuracy)}; always the most frequent room "
+        f"{percent(baselines['majority'])}, a uniform guess {percent(baselines['uniform'])}. "
+        f"Decided by {_decision_text(decision)}."
+    )
+    return headline + html.table(
+        ("room", "rooms", "right", "accuracy", "no answer", "backed off"),
+        (
+            (
+                room,
+                row["rooms"],
+                row["correct"],
+                Bar(row["accuracy"]),
+                row["unanswered"],
+                row["backed_off"],
+            )
+            for room, row in found.per_room().items()
+        ),
+    )
+
+
+def _coverage(found: Evaluation) -> str:
+    return html.paragraph(
+        f"Answered by: {counts(found.as_json()['answered_by'])}; backed off to rule pooled: "
+        f"{found.backed_off}; unanswered, counted as wrong: {counts(found.unanswered)}; left out: "
+        f"{counts(found.skipped)}. Names that no table knows: {_unknown(found)}."
+    )
 
 
 def _unknown(found: Evaluation) -> str:

@@ -7,6 +7,7 @@ returns a ``matplotlib.figure.Figure``, and raises MissingExtraError where matpl
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,16 @@ import numpy as np
 
 from roomtables.errors import InputError, needing
 from roomtables.evaluation import Evaluation
-from roomtables.evaluation.comparison import Sweep, SweepPoint
+from roomtables.evaluation.sweeping import Sweep, SweepPoint
 from roomtables.report.text import drawn
 from roomtables.schemas import POOLED, PROXY
 from roomtables.storage.files import write_aside
+from roomtables.wording import percent
 
 FORMATS = (".png", ".svg")
 _COLOURS = ("#4269d0", "#efb118", "#ff725c", "#6cc5b0", "#3ca951", "#ff8ab7", "#a463f2", "#97bbf5")
 _DOTS_PER_INCH = 130
+_LINE = 150  # characters of a line beneath a picture
 
 
 def check_plot(path: Path) -> None:
@@ -67,7 +70,7 @@ def per_room_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()
     for number, (name, found, table) in enumerate(zip(names, evaluations, tables, strict=True)):
         at = np.arange(len(rooms)) + (number - (len(names) - 1) / 2) * width
         heights = [100 * table[room]["accuracy"] if room in table else 0 for room in rooms]
-        label = f"{name}: {found.accuracy:.1%} of {found.rooms}"
+        label = f"{name}: {percent(found.accuracy)} of {found.rooms}{_not_by_rule(found)}"
         axes.bar(at, heights, width, label=label, color=_COLOURS[number % len(_COLOURS)])
     counts = {room: row["rooms"] for table in tables for room, row in table.items()}
     axes.set_xticks(
@@ -79,6 +82,12 @@ def per_room_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()
     axes.set_axisbelow(True)
     figure.legend(loc="outside upper center", ncols=min(2, len(names)), frameon=False)
     return figure
+
+
+def _not_by_rule(found: Evaluation) -> str:
+    """How many rooms have no answer, or one by another rule; empty where none has."""
+    numbers = {"unanswered": found.unanswered.total(), "backed off": found.backed_off}
+    return "".join(f", {n} {what}" for what, n in numbers.items() if n)
 
 
 def calibration_figure(evaluations: Sequence[Evaluation], names: Sequence[str] = ()) -> Any:
@@ -111,8 +120,11 @@ def calibration_figure(evaluations: Sequence[Evaluation], names: Sequence[str] =
 
 
 def sweep_figure(sweep: Sweep) -> Any:
-    """Left accuracy over λ and γ of rule pooled, source proxy; right over k, by rule and source."""
-    figure = _figure(9.6, 4.4)
+    """Left accuracy over λ and γ of rule pooled, source proxy; right over k, by rule and source.
+
+    Beneath stand the rooms without an answer, and the k that the tables do not hold.
+    """
+    figure = _figure(9.6, 4.8)
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1))
     _draw_grid(left, [p for p in sweep.points if _in_grid(p)])
     styles = iter(_COLOURS)
@@ -120,10 +132,21 @@ def sweep_figure(sweep: Sweep) -> Any:
         ks, accuracies = [p.k for p in points], [100 * p.accuracy for p in points]
         right.plot(ks, accuracies, marker="o", label=name, color=next(styles, "0.3"))
     right.set(xlabel="k, most informative objects used", ylabel="accuracy (%)", ylim=(0, 100))
-    right.xaxis.get_major_locator().set_params(integer=True)
+    right.set_xticks(range(1, sweep.k + 1))  # those not held, too
+    right.set_xlim(0.8, sweep.k + 0.2)
+    if beneath := _beneath(sweep):
+        figure.supxlabel(beneath, fontsize="x-small", x=0.01, ha="left")
     right.grid(alpha=0.3)
     right.legend(frameon=False, fontsize="x-small")
     return figure
+
+
+def _beneath(sweep: Sweep) -> str:
+    """What a picture of a sweep leaves out or counts as wrong."""
+    lines = [f"not drawn: {line}" for line in sweep.not_held]
+    if left := max((point.unanswered for point in sweep.points), default=0):
+        lines.append(f"counted as wrong: up to {left} of {sweep.points[0].rooms} rooms unanswered")
+    return "\n".join("\n".join(textwrap.wrap(line, _LINE)) for line in lines)
 
 
 def _in_grid(point: SweepPoint) -> bool:

@@ -48,7 +48,7 @@ def test_each_name_of_a_room_list_once_unknown_ones_first_then_by_how_often(chec
         ("wooden stool", 1, "stool", "compound"),
     ]
     assert "stool" in json.loads(found.stdout)[1]["nearest"]
-    assert found.stderr == "3 of 5 names understood, 71.4% of 7 objects\n"
+    assert found.stderr == "3 of 5 names understood, 71.4 % of 7 objects\n"
 
 
 def test_a_table_ends_with_the_summary(check):

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from roomtables import RoomTables
 from roomtables.cli import main
-from tiny_tables import build_tables
+from roomtables.cli.names import NameReport
+from tiny_tables import FitScorer, build_tables
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +34,20 @@ def test_a_room_of_unknown_names_says_why_it_has_no_answer(folder: Path) -> None
     result = run(folder, "classify", "lmp", "snk")
     assert "no known object" in result.stdout
     assert result.stderr == 'unknown to label space flat: "lmp" (lamp?), "snk"\n'
+
+
+def test_names_that_only_the_model_knows_are_told_with_the_nearest_known_ones(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tables = RoomTables.open(folder, "flat", scorer=FitScorer())
+    answer = tables.classify(["lmp", "bed", "gizmo", "gizmo"])
+    assert (answer.answered_by, answer.unknown_objects) == ("lm", ())
+    report = NameReport.of(tables)
+    report.take(answer)
+    report.print()
+    assert capsys.readouterr().err == (
+        'not in label space flat, so the model was asked: "gizmo" 2 times, "lmp" (lamp?)\n'
+    )
 
 
 def test_names_read_otherwise_are_shown_in_every_format(folder: Path) -> None:
@@ -75,9 +91,9 @@ def test_evaluate_says_how_many_were_backed_off_and_which_names_are_unknown(
     lines = [{"room_id": str(at), "room": "office", "objects": o} for at, o in enumerate(rooms)]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     result = run(folder, "evaluate", path)
-    assert "backed off to rule pooled: 1;" in result.stdout
+    assert "backed off to rule pooled: 1\n" in result.stdout
     assert 'unknown to label space flat: "lmp" (lamp?)' in result.stderr
-    assert "pooled: 0;" in run(folder, "evaluate", path, "--no-backoff").stdout
+    assert "pooled: 0\n" in run(folder, "evaluate", path, "--no-backoff").stdout
 
 
 @pytest.mark.parametrize("format_", ["jsonl", "nested", "csv"])

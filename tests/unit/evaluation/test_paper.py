@@ -45,8 +45,8 @@ def test_paper_command_on_real_rooms(matterport, gpt_j_folder, tmp_path):
     )  # fmt: skip
     text = paper(*common, "--plot", tmp_path / "figure.svg")
     assert text.exit_code == 0, text.output
-    assert "58.70% (" in text.stdout
-    assert "49.36%" in text.stdout
+    assert "58.70 % (" in text.stdout
+    assert "49.36 %" in text.stdout
     assert "staircase" in (tmp_path / "figure.svg").read_text()
     found = json.loads(paper(*common, "--format", "json").stdout)
     by_condition = {(row["rule"], row["source"]): row for row in found["table_2"]}

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from roomtables import RoomTables, evaluate
-from roomtables.evaluation.comparison import EVIDENCE_POWERS, sweep
+from roomtables.evaluation.sweeping import EVIDENCE_POWERS, sweep
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,10 @@ import torch
 import transformers
 
 
-def causal_scores(folder: Path, sentences: Sequence[str]) -> list[tuple[float, int]]:
-    tokenizer = transformers.AutoTokenizer.from_pretrained(folder)
-    model = transformers.AutoModelForCausalLM.from_pretrained(folder).eval()
+def causal_scores(folder: Path, sentences: Sequence[str], **source: str) -> list[tuple[float, int]]:
+    """``source`` may name a ``gguf_file`` of the folder."""
+    tokenizer = transformers.AutoTokenizer.from_pretrained(folder, **source)
+    model = transformers.AutoModelForCausalLM.from_pretrained(folder, **source).eval()
     scores = []
     for sentence in sentences:
         ids = tokenizer(sentence)["input_ids"]

@@ -13,8 +13,10 @@ from typing import Any
 import pytest
 import torch
 
+from roomtables import build
 from roomtables.errors import MissingExtraError, ModelError
 from roomtables.lm import identify, load_scorer
+from support import small_space, write_space
 
 
 @pytest.fixture
@@ -147,6 +149,26 @@ def test_a_missing_head_is_not_drawn_at_random(copy: Path) -> None:
     del weights["transformer.h.1.mlp.c_fc.weight"]
     save_file(weights, copy / "model.safetensors", metadata={"format": "pt"})
     assert "lack" in refusal(copy)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+def test_no_room_for_it(copy: Path, dtype: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where another process has taken the memory: 100 kB are left for 37,000 weights."""
+    monkeypatch.setattr("roomtables.lm.weights.free", lambda: 100_000)
+    said = refusal(copy, dtype=dtype)
+    assert "no room for copied" in said
+    assert "about 0.00015 GB of memory (0.0001 GB free)" in said
+
+
+def test_nothing_is_written_where_there_is_no_room(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    space = write_space(tmp_path, small_space())
+    monkeypatch.setattr("roomtables.lm.weights.free", lambda: 0)
+    with pytest.raises(ModelError, match="no room"):
+        build(tables=tmp_path / "tables", labels=str(space), model=str(copy), device="cpu")
+    written = {path.name for path in (tmp_path / "tables").rglob("*") if path.is_file()}
+    assert written <= {".build-lock"}
 
 
 def test_unknown_architecture(copy: Path) -> None:
