@@ -25,6 +25,7 @@ from roomtables import RoomTables, build
 from roomtables.cli import main as command_line
 from roomtables.labels import LabelSpace
 from roomtables.offline import builder, plan, scoring, upkeep  # noqa: F401  (once, before the forks)
+from roomtables.storage.checked import last_checked
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import MANIFEST, SpaceFolder
@@ -37,10 +38,12 @@ _TOLERANCE = 1e-9
 _KEPT = (
     r"labels/.*",
     r"tables/\.build-lock",
-    r"tables/home/CURRENT",
+    r"tables/home/(CURRENT|CHECKED)",
+    r"tables/home/databases/[0-9a-f]{16}\.json",
     r"tables/home/misses/(taken\.json|robot\.jsonl)",
     r"tables/scores/[^/]+/part-[0-9a-f]{16}\.parquet",
     r"out/tables\.tar\.zst",
+    r"out/rooms\.duckdb",
 )
 
 
@@ -57,6 +60,10 @@ class Site:
     @property
     def archive(self) -> Path:
         return self.root / "out" / "tables.tar.zst"
+
+    @property
+    def database(self) -> Path:
+        return self.root / "out" / "rooms.duckdb"
 
     def make(self) -> None:
         for name in ("out", "tmp"):
@@ -98,6 +105,7 @@ class Site:
         version = self.space().current()
         version.verify()
         found: dict[str, Any] = {"misses": Misses.read(version.path.parent / FOLDER).open}
+        found["checked"] = last_checked(version) is not None
         found |= {
             path.name: sorted(map(repr_row, pq.read_table(path, use_threads=False).to_pylist()))
             for path in version.path.glob("*.parquet")
@@ -108,7 +116,19 @@ class Site:
             found[folder.name] = sorted(rows.fetchall())
         if self.archive.exists():
             found["archive"] = self.archive.read_bytes()
+        if self.database.exists():
+            found["database"] = self.database_rows()
         return found
+
+    def database_rows(self) -> dict[str, list[Any]]:
+        """What a client reads of the published version; other views read what is there, too."""
+        with duckdb.connect(str(self.database), read_only=True) as client:
+            for view in ("version_changes", "sentence_scores", "miss_coverage"):
+                client.execute(f"select count(*) from {view}").fetchall()
+            return {
+                view: client.execute(f"from {view} order by all").fetchall()
+                for view in ("decision", "entropy", "query_scores")
+            }
 
 
 def repr_row(row: Mapping[str, Any]) -> list[Any]:
@@ -148,7 +168,8 @@ def litter(site: Site) -> list[str]:
     folders = {parent for path in versions for parent in path.parents}
     folders |= {site.root / name for name in ("labels", "labels/home", "out", "tmp")}
     scores = site.tables / "scores"
-    folders |= {site.space().path / FOLDER, scores, *scores.glob("[!.]*")}
+    folders |= {site.space().path / name for name in (FOLDER, "databases")}
+    folders |= {scores, *scores.glob("[!.]*")}
     return sorted(
         name
         for path in site.root.rglob("*")
@@ -163,10 +184,11 @@ class Command:
 
     Attributes
     ----------
-    line : its words; ``{labels}``, ``{tables}`` and ``{archive}`` are filled in
+    line : its words; ``{labels}``, ``{tables}``, ``{archive}``, ``{database}`` are filled in
     prepare : makes what it starts from
     published : whether tables are published before
     done : whether it has taken effect already, where it cannot be run twice
+    placed : makes what cannot be moved, where the command is to run
     """
 
     name: str
@@ -174,10 +196,11 @@ class Command:
     prepare: Callable[[Site], None]
     published: bool = True
     done: Callable[[Site], bool] | None = None
+    placed: Callable[[Site], None] | None = None
 
     def args(self, site: Site) -> list[str]:
         words = self.line.split()
-        named = {"tables": site.tables, "archive": site.archive}
+        named = {"tables": site.tables, "archive": site.archive, "database": site.database}
         named["labels"] = site.root / "labels" / SPACE.name
         return [word.format(**named) for word in words]
 
@@ -211,17 +234,24 @@ def _garbage(site: Site) -> None:
     shutil.copytree(scores, run.folder, ignore=shutil.ignore_patterns(".*"))
 
 
+def _database(site: Site) -> None:
+    """A database, which builds write anew: it holds absolute paths."""
+    site.run(Command("", _DATABASE, _nothing).args(site))
+
+
 def _rolled_back(site: Site) -> bool:
     return site.space().current().path == site.space().versions()[0]
 
 
 _BUILD = "build --tables {tables} --labels {labels}"
+_DATABASE = "sql --tables {tables} --labels home --db {database}"
 COMMANDS: Mapping[str, Command] = {
     command.name: command
     for command in (
         Command("first-build", f"{_BUILD} -k 2", _nothing, published=False),
         Command("build", f"{_BUILD} -k 3", _versions),
         Command("full-refresh", f"{_BUILD} -k 2 --full-refresh", _versions),
+        Command("up-to-date", f"{_BUILD} -k 2", _versions),
         Command("misses", f"{_BUILD} --combinations misses", _misses),
         Command("compact", "compact --tables {tables}", _versions),
         Command("gc", "gc --tables {tables} --keep 1 --unused-scores", _garbage),
@@ -229,6 +259,8 @@ COMMANDS: Mapping[str, Command] = {
             "rollback", "rollback --tables {tables} --labels home", _versions, done=_rolled_back
         ),
         Command("export", "export --tables {tables} --labels home -o {archive}", _versions),
-        Command("plan", "plan --tables {tables} --labels {labels} -k 3", _versions),
+        Command("database", _DATABASE, _versions),
+        Command("database-anew", f"{_BUILD} -k 3", _versions, placed=_database),
+        Command("plan", "plan --exact --tables {tables} --labels {labels} -k 3", _versions),
     )
 }

@@ -179,6 +179,8 @@ class Bench:
         root = self.folder / command.name / name.replace(" ", "-")
         shutil.copytree(self.start(command), root, symlinks=True)
         try:
+            if command.placed is not None:
+                self.call(command.placed, Site(root))
             yield Site(root)
         finally:
             shutil.rmtree(root, ignore_errors=True)

@@ -1,5 +1,7 @@
 -- calibrated(given, from_source, prior_weight, k, among):
--- rule calibrated: S − λ b of the sentence that names the picked objects, and p(room), best first.
+-- rule calibrated: S − λ b of the sentence that names the picked objects, and p(room), best first;
+-- no row where the tables lack the sentence. A room of unknown objects alone has one row without a
+-- room.
 create macro calibrated(
     given, from_source := null, prior_weight := null, k := null, among := null
 ) as table
@@ -18,4 +20,7 @@ from (
     join room_bias using (room)
     where room_bias.source = coalesce(from_source, (select decision.source from decision))
 )
+union all
+select null, null, null, unknown_objects(given)
+where nothing_known(given)
 order by calibrated_nats desc, room

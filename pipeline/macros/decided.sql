@@ -15,11 +15,13 @@ create macro decided(
 with compared as (
     select 'query' as rule, room, score as compared_nats, p_room
     from answers(given, from_source := from_source, k := k, among := among)
+    where room is not null
     union all
     select 'calibrated' as rule, room, calibrated_nats as compared_nats, p_room
     from calibrated(
         given, from_source := from_source, prior_weight := prior_weight, k := k, among := among
     )
+    where room is not null
     union all
     select 'pooled' as rule, room, evidence_nats as compared_nats, p_room
     from p_room_given(
@@ -29,6 +31,7 @@ with compared as (
         evidence_power := evidence_power,
         among := among
     )
+    where room is not null
 ),
 
 wanted as (
@@ -47,5 +50,5 @@ select room, compared_nats, p_room, rule, unknown_objects(given) as unknown_obje
 from found
 union all
 select null, null, null, null, unknown_objects(given)
-where not exists (from found) and len(unknown_objects(given)) > 0
+where nothing_known(given)
 order by compared_nats desc, room

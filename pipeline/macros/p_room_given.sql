@@ -1,5 +1,6 @@
 -- p_room_given(given, from_source, prior_weight, evidence_power, among):
--- rule pooled: the evidence Σ w(o) L′(o, r) of all the objects, and p(room), best first.
+-- rule pooled: the evidence Σ w(o) L′(o, r) of all the objects, and p(room), best first. A room of unknown
+-- objects alone has one row without a room.
 create macro p_room_given(
     given, from_source := null, prior_weight := null, evidence_power := null, among := null
 ) as table
@@ -33,7 +34,7 @@ weighed as (
         power(
             greatest(
                 ln(count(*) over of_object)
-                + sum(if(exp(log_p) > 0, exp(log_p) * log_p, 0::double)) over of_object,
+                + sum(case when exp(log_p) > 0 then exp(log_p) * log_p else 0 end) over of_object,
                 0::double
             ),
             coalesce(evidence_power, (select decision.evidence_power from decision))
@@ -44,7 +45,7 @@ weighed as (
 
 -- An object without weight adds nothing, not 0 × −inf.
 pooled as (
-    select room, sum(if(weight > 0, weight * log_p, 0::double)) as evidence_nats
+    select room, sum(case when weight > 0 then weight * log_p else 0 end) as evidence_nats
     from weighed
     group by room
 )
@@ -55,4 +56,7 @@ select
     exp(log_softmax(evidence_nats, list(evidence_nats) over ())) as p_room,
     unknown_objects(given) as unknown_objects
 from pooled
+union all
+select null, null, null, unknown_objects(given)
+where nothing_known(given)
 order by evidence_nats desc, room

@@ -5,15 +5,13 @@ select
     asked.name as given,
     names.object,
     names.how,
-    if(
-        names.object is null,
-        (
+    case
+        when names.object is null then (
             select arg_max(known.name, jaro_winkler_similarity(known.name, asked.name))
             from names as known
             where jaro_winkler_similarity(known.name, asked.name) > 0.85
-        ),
-        null
-    ) as nearest
+        )
+    end as nearest
 from (
     select unnest(given::varchar[]) as name, generate_subscripts(given::varchar[], 1) as place
 ) as asked

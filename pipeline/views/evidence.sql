@@ -22,6 +22,6 @@ select
     scored.room,
     log_softmax(score, list(score) over (partition by scored.source, scored.object))
         as log_probability,
-    if(scored.source = 'proxy', room_bias.bias_nats, 0::double) as bias_nats
+    case when scored.source = 'proxy' then room_bias.bias_nats else 0::double end as bias_nats
 from scored
 join room_bias using (source, room)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from roomtables.errors import ConfigError, InputError, LabelSpaceError
-from roomtables.labels import LabelSpace
+from roomtables.labels import LABEL_FILES, LabelSpace
 from roomtables.limits import LARGEST_COUNT
 from roomtables.schemas import REDUCTIONS, RULES, SOURCES
 from roomtables.scorer import DTYPES, SCORINGS
@@ -39,8 +39,33 @@ def pipeline_folder() -> Path:
     return installed if installed.is_dir() else package.parents[1] / "pipeline"
 
 
+def labels_folder(name_or_folder: str) -> Path | None:
+    """The folder of label files that ``--labels`` means, whether or not it is there.
+
+    A bare name is the built-in label space of that name, else a folder of label files; ``None``
+    where it is neither: then it can only be a published one. Whatever holds a slash, and ``.`` and
+    ``..``, is a folder.
+    """
+    folder = Path(name_or_folder)
+    if folder.name != name_or_folder or name_or_folder in {"", ".."}:
+        return folder
+    if name_or_folder in builtin_labels():
+        return pipeline_folder() / "labels" / name_or_folder
+    try:
+        found = any((folder / name).exists() for name in LABEL_FILES)
+    except OSError:  # whoever reads it says why
+        found = True
+    return folder if found else None
+
+
+def labels_name(name_or_folder: str) -> str:
+    """The name of the label space that ``--labels`` means: its folder's under the tables."""
+    folder = labels_folder(name_or_folder)
+    return name_or_folder if folder is None else folder.resolve().name
+
+
 def load_labels(name_or_folder: str) -> LabelSpace:
-    """A label space: a built-in one by name, else a folder; ``./mpcat40`` is always the folder.
+    """A label space that is built in or a folder, as :func:`labels_folder` tells them apart.
 
     Raises
     ------
@@ -49,19 +74,17 @@ def load_labels(name_or_folder: str) -> LabelSpace:
     InputError
         The folder cannot be read, or a file of it is malformed.
     """
-    if name_or_folder in builtin_labels():
-        return LabelSpace.load(pipeline_folder() / "labels" / name_or_folder)
+    folder = labels_folder(name_or_folder)
     try:
-        is_folder = Path(name_or_folder).is_dir()
+        if folder is not None and folder.is_dir():
+            return LabelSpace.load(folder)
     except OSError as error:
         raise InputError(
             f"cannot read label space {name_or_folder}: {error.strerror}; see who may read it"
         ) from error
-    if is_folder:
-        return LabelSpace.load(Path(name_or_folder))
     raise LabelSpaceError(
-        f"no label space {name_or_folder!r}: neither a folder nor one of "
-        f"{', '.join(builtin_labels())}; run `roomtables labels list`"
+        f"no label space {name_or_folder!r}: neither a folder with {' and '.join(LABEL_FILES)} nor "
+        f"one of {', '.join(builtin_labels())}; run `roomtables labels list`"
     )
 
 

@@ -1,8 +1,8 @@
 """Inflection of one label: its plural, its singular, its article.
 
 inflect does the work. What it answered for the names of the built-in label spaces is kept in
-``inflections.csv``, so that those need no import of it, which takes seconds. For other names
-inflect must be installed: MissingExtraError where it is not.
+``inflections.csv``, so that those need no inflect. For other names it must be installed:
+MissingExtraError where it is not.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 import csv
 import logging
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -117,9 +119,16 @@ def _singular(label: str) -> str:
     return found if found and found != label else ""
 
 
+def can_inflect(label: str) -> bool:
+    """Whether a name's forms are known, or can be derived: all are where inflect is installed.
+
+    Where it is not, one warning says which extra brings it.
+    """
+    return label in _noted() or not _is_name(label) or _is_installed()
+
+
 @cache
-def can_inflect() -> bool:
-    """Whether inflect is installed; where it is not, one warning says which extra brings it."""
+def _is_installed() -> bool:
     found = find_spec("inflect") is not None
     if not found:
         log.warning(
@@ -131,11 +140,31 @@ def can_inflect() -> bool:
 
 @cache
 def _engine() -> inflect.engine:
-    # Seconds to import (typeguard): only where a plural or an article is not noted.
-    with needing("deriving a plural or an article"):
+    with needing("deriving a plural or an article"), _types_unchecked():
         import inflect
 
     return inflect.engine()
+
+
+@contextmanager
+def _types_unchecked() -> Iterator[None]:
+    """Spare inflect the checks of its arguments' types while it is imported.
+
+    typeguard compiles each of its functions anew for them: 4 seconds of the processor instead of
+    0.2. What is asked here are strings that are not empty, which is what they check.
+    """
+    try:
+        import typeguard
+    except ImportError:  # inflect may do without, one day
+        yield
+        return
+    package: Any = typeguard
+    checked = package.typechecked
+    package.typechecked = lambda function: function
+    try:
+        yield
+    finally:
+        package.typechecked = checked
 
 
 def _ask(question: str, label: str) -> str | None:

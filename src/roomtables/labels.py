@@ -20,6 +20,7 @@ from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError, LabelSpaceError
 from roomtables.schemas import RESERVED_ROOMS, RESERVED_SPACES
 
+LABEL_FILES = ("objects.csv", "rooms.csv")
 OBJECT_COLUMNS = ("object", "plural", "synonyms")
 ROOM_COLUMNS = ("room", "article", "synonyms", "predicted")
 _TRUTH_WORDS = {"": True, "true": True, "1": True, "yes": True} | {
@@ -126,8 +127,8 @@ class LabelSpace:
         return {name: found.label for name, found in _names(self.rooms, {}).items()}
 
     @classmethod
-    def load(cls, folder: Path) -> LabelSpace:
-        """A label space from its folder, whose base name is its name.
+    def load(cls, folder: Path, name: str | None = None) -> LabelSpace:
+        """A label space from its folder, whose base name is its name where none is given.
 
         Raises
         ------
@@ -147,7 +148,7 @@ class LabelSpace:
             )
             for label, row, where in _rows(folder / "rooms.csv", ROOM_COLUMNS)
         ]
-        return cls(folder.resolve().name, tuple(objects), tuple(rooms))
+        return cls(name or folder.resolve().name, tuple(objects), tuple(rooms))
 
     @classmethod
     def named(cls, name: str, objects: Iterable[str], rooms: Iterable[str]) -> LabelSpace:

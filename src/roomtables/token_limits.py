@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from roomtables.errors import ModelError
 
 
@@ -37,22 +40,27 @@ class TokenLimits:
             if not isinstance(sentence, str) or not sentence.strip():
                 raise ModelError(f"{self.name} cannot score an empty sentence ({sentence!r})")
 
-    def scorable(
-        self, sentences: Sequence[str], ids: Sequence[Sequence[int]]
-    ) -> list[Sequence[int]]:
-        """What a causal model scores of the token ids of each sentence: less an appended EOS.
+    def check_all(
+        self,
+        sentences: Sequence[str],
+        tokens: npt.NDArray[np.int64],
+        lengths: npt.NDArray[np.int64],
+    ) -> None:
+        """Refuse sentences that a causal model cannot score.
 
-        Raises
-        ------
-        ModelError
-            They are too few, more than the model reads, or unknown to the model.
+        ``tokens`` holds the token ids of all of them, one sentence after the other, and
+        ``lengths`` how many each has. Raises as :meth:`check`, for the first of them.
         """
-        eos = self.appended_eos
-        if eos is not None:
-            ids = [tokens[:-1] if tokens and tokens[-1] == eos else tokens for tokens in ids]
-        for sentence, tokens in zip(sentences, ids, strict=True):
-            self.check(sentence, tokens, fewest=2)
-        return list(ids)
+        longest = self.context or lengths.max(initial=0)
+        if (
+            lengths.min(initial=2) >= 2
+            and lengths.max(initial=0) <= longest
+            and tokens.max(initial=0) < self.vocabulary
+        ):
+            return
+        ends = np.cumsum(lengths)
+        for sentence, length, end in zip(sentences, lengths, ends, strict=True):
+            self.check(sentence, tokens[end - length : end].tolist(), fewest=2)
 
     def check(self, sentence: str, tokens: Sequence[int], fewest: int) -> None:
         """Refuse ``tokens`` that the model cannot score.

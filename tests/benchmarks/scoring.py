@@ -28,6 +28,7 @@ from roomtables.labels import LabelSpace
 from roomtables.lm import load_scorer
 from roomtables.lm.folders import EMBEDDED_FOLDER
 from roomtables.lm.scorer import SentenceScorer
+from roomtables.onnx_lm import MODEL_FILE, OnnxScorer
 from roomtables.packing.sequences import sort_sequences
 from roomtables.packing.trie import build_trie
 from roomtables.sentences import Template
@@ -221,6 +222,10 @@ def compare(title: str, folder: Path, combinations: int, peers: int, repeats: in
         best = max(best, speed)
         _line(name, speed, base, f"{len(some)} sentences")
     _line("roomtables", ours, base, f"at most {apart:.1g} nats from one forward per sentence")
+    if (folder / MODEL_FILE).is_file():
+        of_file = OnnxScorer.open(folder)
+        speed = len(texts) / cpu_seconds(lambda: of_file.score(texts), repeats)
+        _line("roomtables, from the ONNX file", speed, base, "as a build on a CPU scores")
     _line("bound: matrix products alone", limit, base, f"roomtables reaches {ours / limit:.0%}")
     if best:
         print(f"{'roomtables / best peer':34} {'':12} {ours / best:6.1f}x")
@@ -241,7 +246,7 @@ def growth(folder: Path, combinations: int) -> None:
         texts = sentences(k, combinations, objects)
         encoded = encode(texts)
         nodes = len(build_trie(sort_sequences(encoded)[0]).token)
-        tokens = sum(map(len, encoded))
+        tokens = int(encoded.lengths.sum())
         speed = len(texts) / cpu_seconds(lambda t=texts: scorer.score(t))
         print(
             f"{k:2} {objects:8} {len(texts):10,} {tokens:9,} {nodes:8,} {speed:12,.0f}", flush=True

@@ -7,13 +7,18 @@ import sys
 import tempfile
 from pathlib import Path
 
-from roomtables import build
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from roomtables import RoomTables, build
 from roomtables.cli.common import render
-from roomtables.storage.versions import SpaceFolder
+from roomtables.rooms import read_room_lines
 from roomtables.storage.views import connect, select
+from sql_fixtures import save_evaluation
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "sql.md"
+HOUSE = ROOT / "src" / "roomtables" / "examples" / "house.jsonl"
 _QUERY = re.compile(r"```sql\n(.*?)\n```\n(?:\n```text\n(.*?)```\n)?", re.DOTALL)
 
 
@@ -23,15 +28,20 @@ def queries(page: str) -> list[tuple[str, str]]:
 
 
 def answers(asked: list[str]) -> list[str]:
-    """What the queries print, on tables of the embedded model."""
+    """What the queries print, on what the page's commands make with the embedded model."""
     with tempfile.TemporaryDirectory() as folder:
-        example = ROOT / "src" / "roomtables" / "examples" / "house.jsonl"
-        build(tables=folder, labels="mpcat40", combinations=str(example))
-        connection = connect(Path(folder), SpaceFolder(Path(folder), "mpcat40").current())
-        try:
+        for reduction in ("mean", "sum"):
+            build(tables=folder, labels="mpcat40", combinations=str(HOUSE), reduction=reduction)
+        tables = RoomTables.open(folder, "mpcat40", offline=True)
+        for objects in (["toilet", "sofa"], ["bed", "sink"]):
+            tables.classify(objects)
+        evaluated = [
+            (room.room_id, room.truth[0], tables.classify(room.objects).room)
+            for room in read_room_lines(HOUSE)
+        ]
+        save_evaluation(tables.version, "house", evaluated)
+        with connect(Path(folder), tables.version) as connection:
             return [_printed(*select(connection, query)) for query in asked]
-        finally:
-            connection.close()
 
 
 def _printed(columns: list[str], rows: list[tuple[object, ...]]) -> str:

@@ -31,8 +31,9 @@ def test_a_command_survives_a_fault(bench, name, sent):
 
 @pytest.mark.faults
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_survives_every_fault(bench, name, capsys):
+def test_a_command_survives_every_fault(bench, name, record_property, capsys):
     swept = bench.sweep(COMMANDS[name], [SIGKILL, SIGTERM, SIGINT])
+    record_property("swept", str(swept))
     with capsys.disabled():
         print(f"\n{swept}")
     assert not swept.failures, "\n".join(swept.failures[:3])

@@ -12,7 +12,7 @@ NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 def test_the_output_on_the_page_is_what_the_queries_print():
     pytest.importorskip("torch")
     asked = queries(PAGE.read_text(encoding="utf-8"))
-    assert len(asked) == 11
+    assert len(asked) == 19
     found = answers([query for query, _ in asked])
     for (query, shown), printed in zip(asked, found, strict=True):
         assert _words(shown) == _words(printed), query

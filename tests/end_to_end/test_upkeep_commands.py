@@ -53,6 +53,72 @@ def test_status_tells_old_from_new(shell, tables, space):
     assert "rooms.parquet is damaged" in shell("status", *options, "--verify", code=1)
 
 
+def test_a_quiet_night_is_no_alarm(shell, tables, space):
+    """Tables of long ago are up to date where a build has found them so since."""
+    options = ("--tables", tables, "--labels", space)
+    manifest = next(tables.glob("small/0*3-*/manifest.json"))
+    found = json.loads(manifest.read_text())
+    manifest.write_text(json.dumps(found | {"created": "2026-01-01T00:00:00+00:00"}))
+    SpaceFolder(tables, "small").point_at(manifest.parent)
+    said = shell("status", *options, "--max-age", "26h", code=1)
+    assert f"roomtables build --tables {tables} --labels {space}" in said
+    assert json.loads(shell("status", *options, "--format", "json"))["checked"] is None
+    assert not build(tables=tables, labels=space, scorer=HashScorer(), k=3).published
+    shell("status", *options, "--max-age", "26h", "--verify")
+    assert json.loads(shell("status", *options, "--format", "json"))["checked"]
+    checked = tables / "small" / "CHECKED"
+    checked.write_text(checked.read_text().replace("20", "29", 1))
+    assert "in the future" in shell("status", *options, "--max-age", "26h", code=1)
+
+
+def test_the_advice_is_the_command_that_made_the_tables(shell, tmp_path, space):
+    tables = tmp_path / "my tables"
+    counts = tmp_path / "counts.csv"
+    counts.write_text("object,room,count\nbed,bedroom,9\n")
+    build(tables=tables, labels=space, scorer=HashScorer(), k=2, counts=counts, model="./gpt2")
+    said = shell("status", "--tables", tables, "--labels", space, "--max-age", "0s", code=1)
+    assert f"--tables '{tables}' --labels {space} --model ./gpt2 -k 2 --counts {counts}`" in said
+
+
+def test_status_names_the_scorer_that_made_the_scores(shell, tmp_path, space):
+    scores = tmp_path / "gptj.csv"
+    rows = [f"{o.label},{r.label},-1\n" for o in small_space().objects for r in small_space().rooms]
+    scores.write_text("object,room,log_prob\n" + "".join(rows))
+    made = {"tables": tmp_path / "t", "labels": space, "scores": scores, "scorer": HashScorer()}
+    options = ("--tables", tmp_path / "t", "--labels", space)
+    for combinations, model in (("none", None), ("misses", None), ("all", "household-lm")):
+        build(**made, combinations=combinations)
+        found = json.loads(shell("status", *options, "--format", "json"))
+        assert found["scorer_id"].startswith("imported-")
+        assert (found["scores"], found["model"]) == (str(scores), model)
+        assert ("household-lm" in shell("status", *options)) == (model is not None)
+
+
+def test_tables_fit_80_columns(shell, tmp_path):
+    long = "a very long name of an object that stands in the hall"
+    small = small_space("small")
+    folder = write_space(tmp_path / "labels", small)
+    options = ("--tables", tmp_path / "t", "--labels", folder)
+    build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer(), k=1)
+    said = [shell("plan", *options, "--counts", write_counts(tmp_path), "--reduction", "mean")]
+    (folder / "objects.csv").write_text(f"object\n{long}\nanother {long}\nbed\nsink\n")
+    for k in (2, 3):
+        build(tables=tmp_path / "t", labels=str(folder), scorer=HashScorer(), k=k)
+    said += [shell("plan", *options, "-k", 2)]
+    first = min(path.name for path in (tmp_path / "t" / "small").glob("0*"))
+    said += [shell("diff", first, *options), shell("status", *options)]
+    (tmp_path / "t" / "small" / ".CURRENT.0123abcd.tmp").write_text("half")
+    said += [shell("gc", "--tables", tmp_path / "t", "--keep", 1, "--unused-scores")]
+    for text in said:
+        assert max(map(len, text.splitlines())) <= 80, text
+
+
+def write_counts(folder):
+    path = folder / "counts.csv"
+    path.write_text("object,room,count\nbed,bedroom,9\n")
+    return path
+
+
 def test_a_night_and_its_morning(shell, tables, space):
     options = ("--tables", tables, "--labels", space)
     merged = json.loads(shell("compact", "--tables", tables, "--format", "json"))

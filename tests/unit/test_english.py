@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import pytest
 
 from roomtables import english
@@ -56,3 +59,29 @@ def test_what_is_no_name_is_left_alone(label):
     assert english.pluralise(label) == label
     assert english.singular(label) is None
     assert english.article(label) == "a"
+
+
+def test_what_is_known_or_no_name_needs_no_inflect():
+    code = (
+        "import importlib.util, sys\n"
+        "importlib.util.find_spec = lambda name: None\n"
+        "from roomtables.english import can_inflect\n"
+        "print([can_inflect(name) for name in ('ac unit', '1984', 'unicorn horn')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[True, True, False]\n"
+    assert "roomtables[robot]" in done.stderr
+
+
+def test_a_name_that_nobody_noted_costs_less_than_a_second():
+    code = (
+        "import sys, time\n"
+        "from roomtables import english\n"
+        "began = time.process_time()\n"
+        "print(english.pluralise('unicorn horn'), english.pluralise('grandfather clock'))\n"
+        "import typeguard\n"
+        "assert typeguard.typechecked.__module__.startswith('typeguard')\n"
+        "sys.exit(time.process_time() - began > 1)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("unicorn horns grandfather clocks")

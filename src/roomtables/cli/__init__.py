@@ -11,6 +11,7 @@ spare_address_space()  # before numpy is imported, which starts OpenBLAS
 
 with leaving_at_once():
     from roomtables.cli.common import Group
+    from roomtables.cli.comparing import diff
     from roomtables.cli.evaluating import evaluate_command, report_command
     from roomtables.cli.exploring import sql_command
     from roomtables.cli.labelling import classify
@@ -19,7 +20,7 @@ with leaving_at_once():
     from roomtables.cli.serving import serve
     from roomtables.cli.spaces import labels
     from roomtables.cli.tables import build_command, export_command, misses_command, plan_command
-    from roomtables.cli.upkeep import compact, diff, gc, rollback, status
+    from roomtables.cli.upkeep import compact, gc, rollback, status
 
 
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})

@@ -20,7 +20,7 @@ from roomtables.cli.common import (
 )
 from roomtables.cli.completion import complete_labels
 from roomtables.cli.printing import echo
-from roomtables.config import DEFAULT_LABELS, builtin_labels, load_labels
+from roomtables.config import DEFAULT_LABELS, builtin_labels, labels_name, load_labels
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, Name
 from roomtables.names import NameReader
@@ -30,7 +30,7 @@ from roomtables.rooms import read_room_lines
 from roomtables.scenes import read_rooms
 from roomtables.scenes.hydra import read_hydra_labels, to_label_space
 from roomtables.storage.files import write_aside
-from roomtables.storage.spaces import published_labels
+from roomtables.storage.spaces import find_labels, published_labels
 
 # What ends so is a file, whether or not it is there.
 _SUFFIXES = frozenset(
@@ -74,16 +74,17 @@ def list_command(format_: str, output: Path | None) -> None:
 
 @labels.command()
 @click.argument("space", metavar="NAME|DIR", shell_complete=complete_labels)
+@tables_option
 @format_option()
 @output_option
-def show(space: str, format_: str, output: Path | None) -> None:
+def show(space: str, tables: Path, format_: str, output: Path | None) -> None:
     """Show a label space: labels, how sentences say them, synonyms.
 
     \b
     Example:
       roomtables labels show nyuclass --format csv
     """
-    found = load_labels(space)
+    found = find_labels(space, tables)
     columns = ("kind", "label", "in_a_sentence", "synonyms", "predicted")
     listed: list[tuple[object, ...]] = [
         *(("object", o.label, o.plural, list(o.synonyms), None) for o in found.objects),
@@ -190,10 +191,10 @@ def check(
 def _object_names(tables: Path, labels: str | None) -> Mapping[str, Name]:
     """The names of objects as published tables read them, else as the label space does."""
     published = {*published_labels(tables), *published_labels(tables / "tables")}
-    if published if labels is None else labels in published:
+    if published if labels is None else labels_name(labels) in published:
         opened = RoomTables.open(tables, labels, offline=True, note_misses=False)
         return opened.lookup.object_names()
-    return load_labels(labels or DEFAULT_LABELS).object_names
+    return find_labels(labels or DEFAULT_LABELS, tables).object_names
 
 
 def _names_in(given: Iterable[str], labelspace: Path | None) -> Iterable[str]:

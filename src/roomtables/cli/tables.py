@@ -30,9 +30,11 @@ from roomtables.cli.common import (
     labels_option,
 )
 from roomtables.cli.printing import as_json, echo
+from roomtables.cli.wrapping import wrapped
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.spaces import find_space
 
+_WHY_WIDTH = 36  # so that a plan fits into 80 columns
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
@@ -41,7 +43,7 @@ _OPTIONS = (
     click.option(
         "--labels",
         shell_complete=complete_labels,
-        help=f"Label space: a built-in name, or a folder.  [default: {DEFAULT_LABELS}]",
+        help=f"Label space: a name, or its folder.  [default: {DEFAULT_LABELS}]",
     ),
     click.option("--model", help="Hub name or local folder.  [default: household-lm, embedded]"),
     click.option("--revision", help="Branch, tag or commit of a hub model."),
@@ -107,30 +109,39 @@ def build_command(
 @click.command("plan")
 @build_options
 @tables_option
+@click.option("--exact", is_flag=True, help="Count what the cache lacks; of many, this takes long.")
 @format_option("table", "json")
 @output_option
 def plan_command(
-    config: Path | None, tables: Path, format_: str, output: Path | None, **options: Any
+    config: Path | None,
+    tables: Path,
+    exact: bool,
+    format_: str,
+    output: Path | None,
+    **options: Any,
 ) -> None:
     """Say what `build` would do with the same options, and why; nothing is written.
 
+    Sentences to score are counted by formula: at most so many. With --exact they are those that
+    `build` then scores, unless which ones it asks depends on scores that are still to come.
+
     \b
-    States: cached (nothing to do), missing, stale (why: model, code or input changed).
+    States: cached (nothing to do), missing, stale (made from what has changed since).
 
     \b
     Example:
       roomtables plan --labels mpcat40 --format json
+      roomtables plan --exact
     """
     with needing("`roomtables plan`", "lm"):
         from roomtables.offline.plan import plan
 
-    found = plan(BuildConfig.load(config, **options), tables=tables)
+    found = plan(BuildConfig.load(config, **options), tables=tables, exact=exact)
     emit(as_json(found.as_json()) if format_ == "json" else _plan_text(found), output)
 
 
 def _plan_text(plan: Plan) -> str:
     """The plan as a person reads it: stages, what they cost, what they cover."""
-    published = plan.published or "nothing is published"
     rows = [
         {
             "stage": stage.stage,
@@ -142,31 +153,37 @@ def _plan_text(plan: Plan) -> str:
     ]
     cover = plan.coverage
     most = "" if plan.exact else "at most "
+    partly = most if 0 < cover.held < cover.combinations else ""
     return (
-        f"{plan.labels}: {published}; model {plan.scorer_id or 'none'}\n\n"
-        f"{render(rows, 'table')}\n"
+        f"{plan.labels}: {plan.published or 'nothing is published'}\n"
+        f"model: {plan.scorer_id or 'none is asked'}\n\n"
+        f"{render(wrapped(rows, {'why': _WHY_WIDTH}), 'table')}\n"
         f"to score: {most}{plan.sentences_to_score:,} sentences{_cost(plan)}\n"
-        f"coverage: {cover.held:,} of {cover.combinations:,} combinations"
-        f"{_rest(cover.rest_sentences, cover.rest_seconds)}\n"
+        f"held now: {plan.held:,} of {cover.combinations:,} combinations; "
+        f"after the build: {partly}{cover.held:,}\n"
+        f"{_rest(cover.rest_sentences, cover.rest_seconds)}"
     )
 
 
 def _cost(plan: Plan) -> str:
     if not plan.sentences_to_score:
         return ""
+    cost = ""
     if plan.seconds is None:
-        return " (how long that takes shows after the first build of this model)"
-    return (
-        f", {plan.tokens or 0:,} tokens, {_duration(plan.seconds)} at "
-        f"{plan.sentences_per_second:,.0f} sentences a second"
-    )
+        cost = "\n  (how long that takes shows after the first build of this model)"
+    else:
+        cost = (
+            f"\n  {plan.tokens or 0:,} tokens, {_duration(plan.seconds)} at "
+            f"{plan.sentences_per_second:,.0f} sentences a second"
+        )
+    return cost if plan.exact else f"{cost}\n  (`plan --exact` looks into the cache)"
 
 
 def _rest(sentences: int, seconds: float | None) -> str:
     if not sentences:
         return ""
     takes = "" if seconds is None else f", {_duration(seconds)}"
-    return f"; the rest would take {sentences:,} sentences{takes}"
+    return f"the rest would take {sentences:,} sentences{takes}\n"
 
 
 def _duration(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""Commands for tables that are rebuilt every night: status, gc, compact, rollback, diff."""
+"""Commands for tables that are rebuilt every night: status, gc, compact, rollback."""
 
 from __future__ import annotations
 
@@ -19,15 +19,19 @@ from roomtables.cli.common import (
     render,
     tables_option,
 )
-from roomtables.cli.completion import complete_versions
 from roomtables.cli.printing import as_json, echo
+from roomtables.cli.rebuilding import build_command
+from roomtables.cli.wrapping import wrapped
 from roomtables.errors import StoreError
+from roomtables.storage.checked import last_checked
 from roomtables.storage.removal import KEPT_VERSIONS
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import Version
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 _CLOCK_SKEW = timedelta(minutes=5)
+# So that tables fit into 80 columns.
+_VALUE_WIDTH, _PATH_WIDTH = 60, 40
 
 
 def _age(ctx: click.Context, param: click.Parameter, value: str | None) -> timedelta | None:
@@ -63,51 +67,55 @@ def status(
       roomtables status --max-age 26h --verify
     """
     version = find_space(tables, labels).current()
+    checked = last_checked(version)
     if max_age is not None:
-        _check_age(version, max_age)
+        _check_age(tables, version, checked, max_age)
     if verify:
         version.verify()
-    found = _describe(version)
-    if format_ == "json":
-        emit(as_json(found), output)
-    else:
-        found["coverage"] = _in_words(found["coverage"])
-        rows = [{"what": key, "value": value} for key, value in found.items()]
-        emit(render(rows, "table", ["what", "value"]), output)
+    found = _describe(version, checked)
+    emit(as_json(found) if format_ == "json" else _status_text(version, found), output)
 
 
-def _check_age(version: Version, max_age: timedelta) -> None:
-    age = _age_of(version)
+def _check_age(
+    tables: Path, version: Version, checked: datetime | None, max_age: timedelta
+) -> None:
+    """Refuse tables that no build has published or found up to date for so long."""
+    last = max(version.manifest.created, checked or version.manifest.created)
+    age = _age_of(last)
     if age < -_CLOCK_SKEW:
         raise StoreError(
-            f"{version.path} is dated {version.manifest.created.isoformat()}, in the future; "
+            f"{version.path} is dated {last.isoformat()}, in the future; "
             "see what the clock says (`date -u`)"
         )
     if age > max_age:
         raise StoreError(
-            f"{version.path} is {_hours(age)} h old, more than {_hours(max_age)} h; look into the "
-            "log of the last build, or run `roomtables build`"
+            f"no build has published {version.path} or found it up to date for {_hours(age)} h, "
+            f"more than {_hours(max_age)} h; see the log of the timer that should, or run "
+            f"`{build_command(tables, version.manifest)}`"
         )
 
 
-def _age_of(version: Version) -> timedelta:
-    return datetime.now(timezone.utc) - version.manifest.created
+def _age_of(moment: datetime) -> timedelta:
+    return datetime.now(timezone.utc) - moment
 
 
 def _hours(age: timedelta) -> str:
     return f"{age.total_seconds() / 3600:.4g}"
 
 
-def _describe(version: Version) -> dict[str, Any]:
+def _describe(version: Version, checked: datetime | None) -> dict[str, Any]:
     manifest = version.manifest
+    asked = manifest.extends_tables or any(manifest.combinations.values())
     return {
         "labels": manifest.labels,
         "version": version.name,
         "created": manifest.created.isoformat(),
-        "age_hours": round(_age_of(version).total_seconds() / 3600, 2),
+        "checked": checked.isoformat() if checked else None,
+        "age_hours": round(_age_of(manifest.created).total_seconds() / 3600, 2),
         "scorer_id": manifest.scorer_id,
+        "scores": str(manifest.settings.scores) if manifest.settings.scores else None,
         "query_scorer_id": manifest.query_scorer_id,
-        "model": manifest.settings.model,
+        "model": manifest.settings.model if manifest.query_scorer_id and asked else None,
         "strategy": manifest.model.get("strategy"),
         "objects": manifest.objects,
         "rooms": manifest.rooms,
@@ -119,11 +127,25 @@ def _describe(version: Version) -> dict[str, Any]:
     }
 
 
+def _status_text(version: Version, found: Mapping[str, Any]) -> str:
+    """What is published, as a person reads it."""
+    manifest = version.manifest
+    said = dict(found) | {"coverage": _in_words(found["coverage"])}
+    if manifest.settings.scores:
+        said["scorer_id"] = f"{manifest.scorer_id}: from the file of scores"
+    if manifest.query_scorer_id and not any(manifest.combinations.values()):
+        said["query_scorer_id"] = f"{manifest.query_scorer_id}: no query sentence is scored yet"
+    said["checked"] = found["checked"] or "not since it was published"
+    said["sources"] = ", ".join(found["sources"])
+    rows = [{"what": key, "value": value} for key, value in said.items() if value is not None]
+    return render(wrapped(rows, {"value": _VALUE_WIDTH}), "table", ["what", "value"])
+
+
 def _in_words(coverage: Mapping[str, Any]) -> str:
     seconds = coverage["rest_seconds"]
     took = f", about {seconds:,.0f} s" if seconds else ""
     return (
-        f"{coverage['held']:,} of {coverage['combinations']:,} combinations; "
+        f"{coverage['held']:,} of {coverage['combinations']:,} combinations are held; "
         f"the rest: {coverage['rest_sentences']:,} sentences{took}"
     )
 
@@ -153,6 +175,8 @@ def gc(tables: Path, keep: int, unused_scores: bool, format_: str, output: Path 
 
     removed = collect_garbage(tables, keep, unused_scores)
     rows = [{"path": row.path, "what": row.what, "bytes": row.bytes} for row in removed]
+    if format_ == "table":
+        rows = wrapped(rows, {"path": _PATH_WIDTH})
     if format_ == "table" and not rows:
         emit("nothing to remove\n", output)
     else:
@@ -196,53 +220,3 @@ def rollback(tables: Path, labels: str | None, format_: str) -> None:
         emit(as_json({"labels": now.manifest.labels, "version": now.name, "left": left.name}))
     else:
         echo(f"published {now.name} of {now.path.parent}; {left.name} stays until `gc`")
-
-
-@click.command()
-@click.argument("before", required=False, shell_complete=complete_versions)
-@click.argument("after", required=False, shell_complete=complete_versions)
-@tables_option
-@labels_option
-@click.option("--top", type=click.IntRange(min=0), default=20, show_default=True, help="Objects.")
-@format_option("table", "json")
-@output_option
-def diff(
-    before: str | None,
-    after: str | None,
-    tables: Path,
-    labels: str | None,
-    top: int,
-    format_: str,
-    output: Path | None,
-) -> None:
-    """Say what changed between two versions: by default since the version before.
-
-    Objects that now speak for another room come first, then those whose entropy moved most.
-
-    \b
-    Example:
-      roomtables diff --top 10
-      roomtables diff 000001-1f3c5a77 000004-9b2e0c1d
-    """
-    from roomtables.offline.diff import compare
-
-    space = find_space(tables, labels)
-    newer = space.named(after) if after else space.current()
-    older = space.named(before) if before else space.before(newer)
-    found = compare(older, newer)
-    if format_ == "json":
-        emit(as_json(found.as_json() | {"objects": found.objects[:top]}), output)
-        return
-    lines = [f"{found.labels}: {found.before} → {found.after}\n"]
-    lines += [f"{name}: {was} → {now}\n" for name, (was, now) in found.settings.items()]
-    lines += [
-        f"{row['source']}: {row['held_in_both']:,} combinations in both, "
-        f"{row['other_room']:,} of them with another best room; "
-        f"{row['added']:,} added, {row['removed']:,} removed\n"
-        for row in found.combinations
-    ]
-    moved = len(found.objects)
-    lines.append(f"{moved} objects moved{f', the first {top}' if moved > top else ''}\n")
-    if moved:
-        lines.append(render(found.objects[:top], "table"))
-    emit("".join(lines), output)

@@ -14,6 +14,7 @@ from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import choose
 from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
 from roomtables.packing.sequences import FloatArray, Sequences, sort_sequences
+from roomtables.packing.tokens import IntArray, TokenLists
 
 
 class CausalBackend:
@@ -38,15 +39,15 @@ class CausalBackend:
         self.row_nodes: int | None = packing.get("row_nodes")
         self.window: int | None = packing.get("window")
 
-    def encode(self, sentences: Sequence[str]) -> list[Sequence[int]]:
+    def encode(self, sentences: Sequence[str]) -> TokenLists:
         """Token ids of each sentence; see :meth:`Encoder.encode` for what it refuses."""
         return self.encoder.encode(sentences)
 
-    def token_count(self, encoded: Sequence[int]) -> int:
-        """All tokens but the first are scored."""
-        return len(encoded) - 1
+    def token_counts(self, encoded: TokenLists) -> IntArray:
+        """All tokens of a sentence but the first are scored."""
+        return encoded.lengths - 1
 
-    def log_probs(self, encoded: Sequence[Sequence[int]], budget: int, meter: Meter) -> FloatArray:
+    def log_probs(self, encoded: TokenLists, budget: int, meter: Meter) -> FloatArray:
         """Log probability in nats of each encoded sentence, ``[sentences]``."""
         sequences, index = sort_sequences(encoded)
         return self._run(self.forward, sequences, budget, meter)[index]

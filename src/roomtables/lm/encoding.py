@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from roomtables.errors import ModelError
+from roomtables.packing.tokens import TokenLists, WordTokenizer
 from roomtables.token_limits import TokenLimits
 
 _PROBE = "A room containing toilets is called a bathroom."
@@ -24,7 +25,7 @@ _UNLIMITED = 1_000_000  # tokenizers without a limit say 1e30
 
 
 class Encoder:
-    """Turns sentences into token ids (lists of int), and refuses those that cannot be scored.
+    """Turns sentences into token ids, and refuses those that cannot be scored.
 
     ``vocabulary`` is the number of tokens that the model knows, ``context`` the most it reads
     (``None``: no limit but the tokenizer's). ``name`` is the model's, for messages.
@@ -43,9 +44,9 @@ class Encoder:
         self.context = int(min(limits)) if limits else None
         self.limits = TokenLimits(name, vocabulary, self.context)
         self.limits = replace(self.limits, appended_eos=self._find_appended_eos())
-        self._direct = self._find_direct_call()
+        self._tokens = self._find_fastest()
 
-    def encode(self, sentences: Sequence[str]) -> list[Sequence[int]]:
+    def encode(self, sentences: Sequence[str]) -> TokenLists:
         """Token ids of each sentence; all but the first are scored.
 
         Raises
@@ -54,7 +55,11 @@ class Encoder:
             A sentence is empty, holds nothing to score, or is longer than the model's context.
         """
         self.limits.refuse_empty(sentences)
-        return self.limits.scorable(sentences, self._direct(sentences))
+        tokens = self._tokens(sentences)
+        if self.limits.appended_eos is not None:
+            tokens = tokens.without_last(self.limits.appended_eos)
+        self.limits.check_all(sentences, tokens.flat, tokens.lengths)
+        return tokens
 
     def call(self, sentences: Sequence[str], **options: Any) -> Any:
         """What the tokenizer's own call returns, without padding, truncation or masks.
@@ -82,20 +87,19 @@ class Encoder:
         known = min(self.limits.vocabulary, len(self.tokenizer))
         return lead, [token for token in range(known) if token not in special] or [0]
 
-    def _find_direct_call(self) -> Callable[[Sequence[str]], list[list[int]]]:
-        """The tokenizer's Rust core where it gives the tokens of the whole call, in half the time;
-        else the whole call."""
+    def _find_fastest(self) -> Callable[[Sequence[str]], TokenLists]:
+        """The tokenizer's Rust core where it gives the tokens of the whole call, word by word where
+        it can; else the whole call."""
 
-        def whole(sentences: Sequence[str]) -> list[list[int]]:
-            ids: list[list[int]] = self.call(sentences)["input_ids"]
-            return ids
-
-        def direct(sentences: Sequence[str]) -> list[list[int]]:
-            core = self.tokenizer.backend_tokenizer
-            return [encoding.ids for encoding in core.encode_batch_fast(list(sentences))]
+        def whole(sentences: Sequence[str]) -> TokenLists:
+            return TokenLists.of(self.call(sentences)["input_ids"])
 
         try:
-            return direct if direct(PROBES) == whole(PROBES) else whole
+            core = self.tokenizer.backend_tokenizer
+            direct = WordTokenizer(
+                core, lambda some: [each.ids for each in core.encode_batch_fast(list(some))]
+            )
+            return direct if list(direct(PROBES)) == list(whole(PROBES)) else whole
         except (AttributeError, TypeError):  # a tokenizer without such a core
             return whole
 

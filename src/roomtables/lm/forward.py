@@ -16,7 +16,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from roomtables.packing.sequences import FloatArray, IntArray
+from roomtables.packing.sequences import FloatArray
+from roomtables.packing.tokens import IntArray
 
 # Elements of a block of logits: small enough for a CPU's cache, large enough for a GPU's launch.
 _BLOCK = {"cpu": 1 << 20, "cuda": 1 << 26}

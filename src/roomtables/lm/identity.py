@@ -8,9 +8,11 @@ sizes and the hub's commit are provenance, not identity.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import json
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -128,17 +130,29 @@ def device_class(device: str) -> str:
     """
     if device not in DEVICES:
         raise ModelError(f"unknown device {device!r}; use one of {', '.join(DEVICES)}")
-    if device == "cpu":
-        return "cpu"
-    check_address_space()
-    with needing("a language model on this machine's own device"):
-        import torch
+    if device != "cpu" and _has_driver():
+        check_address_space()
+        with needing("a language model on this machine's own device"):
+            import torch
 
-    if torch.cuda.is_available():
-        return "cuda"
+        if torch.cuda.is_available():
+            return "cuda"
     if device == "cuda":
         raise ModelError("no CUDA device was found; use --device cpu, or --device auto")
     return "cpu"
+
+
+def _has_driver() -> bool:
+    """Whether torch may find a GPU. Without a driver's library (NVIDIA) or device (AMD) there is
+    none to be found, which is known before torch is imported: seconds, for a build that has nothing
+    to score."""
+    if not sys.platform.startswith("linux") or Path("/dev/kfd").exists():
+        return True
+    try:
+        ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    return True
 
 
 def scorer_id(folder: ModelFolder, dtype: str, device: str, scoring: str) -> str:

@@ -19,7 +19,8 @@ from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import agree, in_float32
-from roomtables.packing.sequences import FloatArray, IntArray, batches_by_length
+from roomtables.packing.sequences import FloatArray, batches_by_length
+from roomtables.packing.tokens import IntArray
 
 _log = logging.getLogger(__name__)
 
@@ -94,9 +95,9 @@ class MaskedBackend:
             encoded.append(MaskedSentence(tokens, scored, words))
         return encoded
 
-    def token_count(self, encoded: MaskedSentence) -> int:
-        """How many tokens are masked in turn: all but the special ones."""
-        return len(encoded.scored)
+    def token_counts(self, encoded: Sequence[MaskedSentence]) -> IntArray:
+        """How many tokens of each sentence are masked in turn: all but the special ones."""
+        return np.array([len(sentence.scored) for sentence in encoded], np.int64)
 
     def log_probs(self, encoded: Sequence[MaskedSentence], budget: int, meter: Meter) -> FloatArray:
         """Pseudo-log-likelihood in nats of each encoded sentence, ``[sentences]``."""

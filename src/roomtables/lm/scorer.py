@@ -18,6 +18,7 @@ import torch
 
 from roomtables.errors import ModelError
 from roomtables.packing.sequences import FloatArray
+from roomtables.packing.tokens import IntArray
 from roomtables.progress import progress_bar
 from roomtables.scorer import ONE_THREAD_PARAMETERS, SentenceScore
 from roomtables.token_limits import quoted
@@ -42,7 +43,7 @@ class Backend(Protocol):
         """Why faster strategies were passed over, one line each."""
         ...
 
-    def encode(self, sentences: Sequence[str]) -> Sequence[Any]:
+    def encode(self, sentences: Sequence[str]) -> Any:
         """Tokens of each sentence.
 
         Raises
@@ -52,11 +53,11 @@ class Backend(Protocol):
         """
         ...
 
-    def token_count(self, encoded: Any) -> int:
-        """How many tokens of one encoded sentence are scored."""
+    def token_counts(self, encoded: Any) -> IntArray:
+        """How many tokens of each encoded sentence are scored."""
         ...
 
-    def log_probs(self, encoded: Sequence[Any], budget: int, meter: Meter) -> FloatArray:
+    def log_probs(self, encoded: Any, budget: int, meter: Meter) -> FloatArray:
         """Sum of log probabilities in nats of each encoded sentence, ``[sentences]``.
 
         ``budget`` is the most tokens in one forward pass.
@@ -132,8 +133,8 @@ class SentenceScorer:
     def _score_window(self, window: list[str], meter: Meter) -> list[SentenceScore]:
         unique = list(dict.fromkeys(window))
         encoded = self.backend.encode(unique)
-        counts = [self.backend.token_count(item) for item in encoded]
-        meter.begin(len(window), sum(counts))
+        counts = self.backend.token_counts(encoded)
+        meter.begin(len(window), int(counts.sum()))
         with using_threads(self.threads):
             log_probs = self._log_probs(encoded, meter)
         bad = np.flatnonzero(~np.isfinite(log_probs))
@@ -143,11 +144,11 @@ class SentenceScorer:
                 f"{log_probs[bad[0]]}; try --dtype float32, or another --model"
             )
         meter.finish()
-        scores = map(SentenceScore, log_probs.tolist(), counts)
+        scores = map(SentenceScore, log_probs.tolist(), counts.tolist())
         by_sentence = dict(zip(unique, scores, strict=True))
         return [by_sentence[sentence] for sentence in window]
 
-    def _log_probs(self, encoded: Sequence[Any], meter: Meter) -> FloatArray:
+    def _log_probs(self, encoded: Any, meter: Meter) -> FloatArray:
         """Score a window, with half the token budget whenever memory runs out."""
         while True:
             try:

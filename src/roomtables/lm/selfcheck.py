@@ -18,7 +18,8 @@ from roomtables.lm.encoding import Encoder
 from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.strategies import ROW_NODES, Strategy
-from roomtables.packing.sequences import FloatArray, IntArray, Sequences, sort_sequences
+from roomtables.packing.sequences import FloatArray, Sequences, sort_sequences
+from roomtables.packing.tokens import IntArray
 from roomtables.scorer import TOLERANCE_NATS
 
 _log = logging.getLogger(__name__)

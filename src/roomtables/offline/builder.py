@@ -8,7 +8,6 @@ and a folder ``.staging-<process>`` (the next build removes it).
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,8 +15,10 @@ from typing import Any
 
 from roomtables.config import BuildConfig, pipeline_folder
 from roomtables.errors import StoreError
+from roomtables.offline.causes import Made
 from roomtables.offline.engines import score
-from roomtables.offline.inputs import Inputs, LazyScorer
+from roomtables.offline.inputs import Inputs
+from roomtables.offline.model import LazyScorer
 from roomtables.offline.scoring import Scored, Work, missing_sentences
 from roomtables.offline.stages import (
     CACHED,
@@ -25,18 +26,22 @@ from roomtables.offline.stages import (
     decide,
     fingerprint,
     listed_stages,
-    recorded_reads,
+    made_from,
 )
 from roomtables.offline.tables import Reads, Tables
 from roomtables.offline.workspace import Workspace, WorkTable, workspace
 from roomtables.schemas import VERSION_TABLES
 from roomtables.scorer import Scorer
+from roomtables.storage.checked import note_checked
+from roomtables.storage.client_databases import write_anew
 from roomtables.storage.derived_lookup import derive_lookup
 from roomtables.storage.files import build_lock, utc_now
 from roomtables.storage.lookup_writer import LookupSettings
 from roomtables.storage.manifest import FileFacts, Manifest, Rate
 from roomtables.storage.removal import remove_left, remove_old
+from roomtables.storage.samples import write_samples
 from roomtables.storage.score_cache import NO_SCORES, SentenceCache
+from roomtables.storage.spaces import publish_labels
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 _SHOWN_ROWS = 3
@@ -88,7 +93,7 @@ def build(
     """
     started = time.monotonic()
     config = config.changed(**options) if config else BuildConfig.load(**options)
-    stages, inputs = listed_stages(config), Inputs.read(config)
+    stages, inputs = listed_stages(config), Inputs.read(config, Path(tables))
     model = LazyScorer(config, scorer)
     with build_lock(Path(tables), wait):
         making = _Making.prepare(stages, inputs.and_misses(Path(tables)), model, Path(tables))
@@ -97,6 +102,7 @@ def build(
             version = making.publish(started, progress)
             remove_old(making.space)
         making.inputs.asked.take_in_misses()
+        write_anew(Path(tables))
     return BuildReport(
         version.manifest.labels,
         version.name,
@@ -132,7 +138,7 @@ class _Making:
     """
 
     stages: tuple[Stage, ...]
-    recorded: Mapping[str, Mapping[str, Any]]
+    made: Made
     inputs: Inputs
     model: LazyScorer
     cache: SentenceCache | None
@@ -146,17 +152,20 @@ class _Making:
         cls, stages: tuple[Stage, ...], inputs: Inputs, model: LazyScorer, tables: Path
     ) -> _Making:
         scorer_id = model.scorer_id if inputs.needs_model else None
-        recorded = recorded_reads(stages, inputs, scorer_id)
+        made = made_from(stages, inputs, scorer_id)
         space = SpaceFolder(tables, inputs.labels.name)
         remove_left(space)
         cache = open_cache(tables, scorer_id)
-        return cls(stages, recorded, inputs, model, cache, space, space.published())
+        return cls(stages, made, inputs, model, cache, space, space.published())
 
     def published_already(self) -> Version | None:
-        """The published version, where every stage of it is up to date."""
+        """The published version, where every stage of it is up to date; when that was is noted."""
         refresh = self.inputs.config.full_refresh
-        decided = decide(self.recorded, self.current, self.cache, refresh)
-        return self.current if all(stage.state == CACHED for stage in decided) else None
+        decided = decide(self.made, self.current, self.cache, refresh)
+        if self.current is None or any(stage.state != CACHED for stage in decided):
+            return None
+        note_checked(self.current, utc_now())
+        return self.current
 
     def publish(self, started: float, progress: bool) -> Version:
         """Make every table aside, check them, and publish them as a version."""
@@ -177,7 +186,7 @@ class _Making:
                 )
             seconds = round(time.monotonic() - started, 3)
             manifest = self._manifest(staging, rows, dict(combinations), seconds)
-            name = self.space.new_name(fingerprint(self.recorded))
+            name = self.space.new_name(fingerprint(self.made.stages))
             return self.space.publish(staging, name, manifest)
 
     def _write_out(self, tables: Tables, reads: Reads, staging: Path) -> None:
@@ -185,6 +194,8 @@ class _Making:
         _run_checks(tables.workspace)
         for name in VERSION_TABLES:
             tables.workspace.export(reads.table(name), staging)
+        write_samples(staging)
+        publish_labels(self.inputs.labels, staging)
         settings = {name: reads.value(name) for name in LookupSettings._fields}
         derive_lookup(staging, self.inputs.labels, LookupSettings(**settings))
 
@@ -218,7 +229,7 @@ class _Making:
             created=utc_now(),
             seconds=seconds,
             settings=inputs.config,
-            stages=self.recorded,
+            stages=self.made.stages,
             scorer_id=str(imported or scorer_id),
             query_scorer_id=scorer_id,
             model=self.model.describe() or (self._same_model_before("model") or {}),

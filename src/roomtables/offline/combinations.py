@@ -77,12 +77,15 @@ class Asked:
         numbers ``[n, widest]``: each row ascending, 0 behind the last; rows sorted and distinct
     misses : the misses that were read; ``None`` where they were not
     known : every name of an object of the label space, normalised
+    new : per source, how many of ``by_source`` are not published; empty where that was not looked
+        for
     """
 
     rooms: tuple[tuple[int, ...], ...] = ()
     by_source: Mapping[str, Ranks] = field(default_factory=dict)
     misses: Misses | None = None
     known: frozenset[str] = frozenset()
+    new: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def by_file(cls, combinations: str, labels: LabelSpace) -> Asked:
@@ -115,11 +118,12 @@ class Asked:
         if combinations == ALL:
             return replace(self, misses=misses, known=frozenset(labels.object_aliases))
         questions = {(miss.source, miss.objects) for miss in misses.open}
-        found: dict[str, list[Ranks]] = {}
+        published: dict[str, Ranks] = {}
         if combinations == MISSES:
-            found = _published(space, labels)
+            published = _published(space, labels)
         else:
             questions |= misses.taken
+        found = {source: [rows] for source, rows in published.items()}
         numbers, reader = _numbers(labels), NameReader(labels.object_names)
         for source, objects in questions:
             known = _labels(objects, reader)
@@ -128,12 +132,22 @@ class Asked:
                 found.setdefault(source, []).append(row)
         by_source = {source: _distinct(parts) for source, parts in sorted(found.items())}
         names = frozenset(labels.object_aliases)
-        return replace(self, by_source=by_source, misses=misses, known=names)
+        new = {
+            source: len(rows) - len(published.get(source, ()))
+            for source, rows in by_source.items()
+            if combinations == MISSES
+        }
+        return replace(self, by_source=by_source, misses=misses, known=names, new=new)
 
     def take_in_misses(self) -> None:
         """Note that a published version holds the misses that were read."""
         if self.misses is not None:
             self.misses.take_in(self.known)
+
+    def sizes(self, source: str) -> NDArray[np.int64]:
+        """Of each combination of a source, how many objects it has; each combination once."""
+        rows = [block for block in self._of(source) if len(block)]
+        return np.count_nonzero(_distinct(rows), axis=1) if rows else np.zeros(0, np.int64)
 
     def recorded(self) -> list[str]:
         """What was asked for, hashed: for the record of a build's inputs."""
@@ -149,18 +163,21 @@ class Asked:
         ``ranks`` are those of the objects, in label order. Of more than ``k`` objects those of
         least rank count; rows are distinct and sorted by key.
         """
-        rows = [_padded(self.rooms)]
-        rows += [self.by_source[source]] if source in self.by_source else []
         none = len(ranks) + 1
         rank_of = np.array([none, *ranks], np.int64)
         parts = [np.zeros((0, k), np.int64)]
-        for numbers in rows:
+        for numbers in self._of(source):
             found = np.sort(rank_of[numbers], axis=1)[:, :k]
             found = np.pad(found, ((0, 0), (0, k - found.shape[1])), constant_values=none)
             parts.append(np.where(found == none, 0, found))
         needed = np.concatenate(parts)
         _, first = np.unique(pack_keys(needed, k), return_index=True)
         return needed[first]
+
+    def _of(self, source: str) -> list[Ranks]:
+        """What a source is asked for, by rooms and by misses."""
+        by_source = [self.by_source[source]] if source in self.by_source else []
+        return [_padded(self.rooms), *by_source]
 
 
 def query_frames(
@@ -182,8 +199,8 @@ def _labels(names: Iterable[str], reader: NameReader) -> list[str]:
     return [name.label for name in found if name is not None]
 
 
-def _published(space: SpaceFolder, labels: LabelSpace) -> dict[str, list[Ranks]]:
-    """The combinations that are published, of objects that the label space still has.
+def _published(space: SpaceFolder, labels: LabelSpace) -> dict[str, Ranks]:
+    """Per source, the combinations that are published, of objects that the label space still has.
 
     They are read from the table itself, whose columns ``source`` and ``objects`` every schema
     version has: tables of an older roomtables lose none.
@@ -194,14 +211,15 @@ def _published(space: SpaceFolder, labels: LabelSpace) -> dict[str, list[Ranks]]
     path = version / "query_scores.parquet"
     refuse_outside(space.path.parent, space.path, version, path)
     try:
-        table = pq.read_table(path, columns=["source", "objects"])
+        with pq.ParquetFile(path) as file:  # `read_table` would import pandas, a second's work
+            table = file.read(["source", "objects"])
     except (pa.ArrowException, OSError):  # built anew all the same
         return {}
     numbers = _numbers(labels)
     found = {}
     for source in pc.unique(table.column("source")).to_pylist():
         rows = table.filter(pc.equal(table.column("source"), source))
-        found[source] = [_rows(rows.column("objects").combine_chunks(), numbers)]
+        found[source] = _distinct([_rows(rows.column("objects").combine_chunks(), numbers)])
     return found
 
 

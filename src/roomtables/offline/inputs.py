@@ -12,14 +12,14 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from roomtables.config import NONE, BuildConfig, load_labels
+from roomtables.config import NONE, BuildConfig
 from roomtables.csv_rows import read_csv
 from roomtables.errors import InputError
 from roomtables.labels import LabelSpace, normalise
 from roomtables.limits import FLOAT32_MAX, LARGEST_COUNT
 from roomtables.offline.combinations import Asked, check_key_size, resolve
 from roomtables.rooms import read_room_lines
-from roomtables.scorer import Scorer
+from roomtables.storage.spaces import find_labels
 
 log = logging.getLogger(__name__)
 
@@ -48,15 +48,15 @@ class Inputs:
     asked: Asked
 
     @classmethod
-    def read(cls, config: BuildConfig) -> Inputs:
-        """Read and validate.
+    def read(cls, config: BuildConfig, tables: Path = Path("tables")) -> Inputs:
+        """Read and validate; a label space may be one that is published under ``tables``.
 
         Raises
         ------
         RoomtablesError
             A file is missing or malformed, or a setting makes no sense.
         """
-        labels = load_labels(config.labels)
+        labels = find_labels(config.labels, tables)
         check_key_size(len(labels.objects), config.k)
         sources = 1 if config.counts is None else 2
         wanted = resolve(config.combinations, labels, config.k, sources)
@@ -113,51 +113,6 @@ class Inputs:
         if isinstance(value, tuple):
             return list(value)
         return str(value) if isinstance(value, Path) else value
-
-
-class LazyScorer:
-    """A scorer that costs nothing until a sentence is missing from the cache."""
-
-    def __init__(self, config: BuildConfig, given: Scorer | None = None) -> None:
-        self._config = config
-        self._scorer = given
-        self._scorer_id = given.scorer_id if given else None
-
-    @property
-    def scorer_id(self) -> str:
-        """The identity, from the files of the model alone."""
-        if self._scorer_id is None:
-            from roomtables.lm import identify
-
-            self._scorer_id = identify(self._config.model, **self._settings())
-        return self._scorer_id
-
-    def load(self, progress: bool = False) -> Scorer:
-        """The scorer itself; with ``progress`` one loaded here shows its own progress bar.
-
-        Raises
-        ------
-        ModelError, MissingExtraError
-            The model cannot be loaded, or torch is not installed.
-        """
-        if self._scorer is None:
-            from roomtables.lm import load_scorer
-
-            self._scorer = load_scorer(
-                self._config.model,
-                token_budget=self._config.token_budget,
-                progress=progress,
-                **self._settings(),
-            )
-        return self._scorer
-
-    def describe(self) -> Mapping[str, str]:
-        """Provenance, where the model was loaded at all."""
-        return dict(self._scorer.describe()) if self._scorer else {}
-
-    def _settings(self) -> dict[str, Any]:
-        names = ("revision", "dtype", "device", "scoring")
-        return {name: getattr(self._config, name) for name in names}
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
 from roomtables.limits import FLOAT32_MAX
-from roomtables.offline.inputs import LazyScorer
+from roomtables.offline.model import LazyScorer
 from roomtables.offline.workspace import Workspace, WorkTable
+from roomtables.progress import progress_bar
 from roomtables.scorer import Scorer, SentenceScore
 from roomtables.storage.score_cache import SentenceCache
 
@@ -96,6 +97,8 @@ def score_locally(work: Work) -> Scored:
     """
     scorer = work.model.load(work.progress)
     check_identity(scorer, work.cache)
+    shown = work.progress and not work.model.shows_progress
+    bar = progress_bar(work.what, work.total, shown=shown)
     done = Scored()
     kept: list[str] = []
     scores: list[SentenceScore] = []
@@ -105,11 +108,13 @@ def score_locally(work: Work) -> Scored:
             kept.append(sentence)
             scores.append(score)
             done.tokens += score.token_count
+            bar.update()
             if len(kept) >= PART_SENTENCES or time.monotonic() - part_started > PART_SECONDS:
                 work.cache.append(kept, scores)
                 done.sentences += len(kept)
                 kept, scores, part_started = [], [], time.monotonic()
     finally:  # an interrupted build keeps what it has
+        bar.close()
         if kept:
             work.cache.append(kept, scores)
             done.sentences += len(kept)

@@ -13,11 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from roomtables.config import BuildConfig, default_stages, pipeline_folder
-from roomtables.errors import ConfigError
+from roomtables.config import MISSES, BuildConfig, default_stages, pipeline_folder
+from roomtables.errors import ConfigError, StoreError
+from roomtables.offline.causes import Comparison, Made, joined
 from roomtables.offline.inputs import INPUTS, Inputs
+from roomtables.offline.label_changes import Labels
+from roomtables.storage.manifest import SchemaVersionError
 from roomtables.storage.score_cache import SentenceCache
-from roomtables.storage.versions import LOOKUP, Version
+from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 
 SENTENCE_SCORES, QUERIES, QUERY_SCORES = "sentence_scores", "queries", "query_scores"
 STAGES = (
@@ -27,6 +30,7 @@ STAGES = (
 # The stages that ask the language model.
 ASKING = (SENTENCE_SCORES, QUERY_SCORES)
 CACHED, MISSING, STALE = "cached", "missing", "stale"
+NOT_BUILT, SCORE_PART_MISSING = "not built", "score part missing"
 
 
 class Stage(NamedTuple):
@@ -95,12 +99,23 @@ def fingerprint(recorded: Mapping[str, Mapping[str, Any]]) -> str:
     return _hash(recorded)
 
 
+def made_from(stages: tuple[Stage, ...], inputs: Inputs, scorer_id: str | None) -> Made:
+    """What a build with these inputs makes its tables from."""
+    asked = inputs.asked.new.values()
+    return Made(
+        recorded_reads(stages, inputs, scorer_id),
+        inputs.config,
+        lambda: Labels.of_space(inputs.labels),
+        as_published=inputs.config.combinations == MISSES and not any(asked),
+    )
+
+
 @dataclass(frozen=True)
 class StageState:
     """A stage's state before a build.
 
-    ``why`` is ``model``, ``code`` or ``input`` (what changed), ``refresh`` (asked for), ``damaged``
-    or ``removed`` (a file), or ``not built``; empty where the stage is cached.
+    ``why`` says what changed, as a person would: "k 3 → 2", "entropy.sql changed", "score part
+    missing"; empty where the stage is cached.
     """
 
     stage: str
@@ -110,50 +125,62 @@ class StageState:
 
 
 def decide(
-    recorded: Mapping[str, Mapping[str, Any]],
+    made: Made,
     published: Version | None,
     cache: SentenceCache | None,
     full_refresh: bool,
+    not_built: str = NOT_BUILT,
 ) -> list[StageState]:
     """The state of every stage; a build makes all tables unless every stage is cached.
 
-    ``recorded`` is what each stage reads now; ``cache`` is ``None`` where no model is asked.
+    Parameters
+    ----------
+    made : what a build now makes its tables from
+    cache : ``None`` where no model is asked
+    not_built : why there is no published version, where there is none
     """
     if full_refresh:
-        return [StageState(stage, STALE, "refresh") for stage in recorded]
+        return [StageState(stage, STALE, "full refresh") for stage in made.stages]
     if published is None:
-        return [StageState(stage, MISSING, "not built") for stage in recorded]
+        return [StageState(stage, MISSING, not_built) for stage in made.stages]
+    compared = Comparison(Made.of(published), made)
     damaged = _damaged(published)
-    kept = cache is None or cache.holds(published.manifest.score_parts)
-    found: dict[str, StageState] = {}
-    for stage, reads in recorded.items():
-        why = _changed(reads, published.manifest.stages.get(stage, {}), found)
-        if why:
-            found[stage] = StageState(stage, STALE, why)
+    kept = is_kept(published, cache)
+    causes: dict[str, list[str]] = {}
+    found = []
+    for stage, reads in made.stages.items():
+        inherited = [cause for read in reads for cause in causes.get(read, ())]
+        causes[stage] = [*compared.causes(stage).values(), *inherited]
+        if causes[stage]:
+            found.append(StageState(stage, STALE, joined(causes[stage])))
         elif stage in damaged or (stage in ASKING and not kept):
-            found[stage] = StageState(stage, MISSING, damaged.get(stage, "removed"))
+            found.append(StageState(stage, MISSING, damaged.get(stage, SCORE_PART_MISSING)))
         else:
-            found[stage] = StageState(stage, CACHED)
-    return list(found.values())
+            found.append(StageState(stage, CACHED))
+    return found
 
 
-def _changed(
-    now: Mapping[str, Any], before: Mapping[str, Any], states: Mapping[str, StageState]
-) -> str:
-    """Why what a stage reads is not what it read before; empty where it is."""
-    for read in [*now, *before]:
-        if now.get(read) == before.get(read) and read in now and read in before:
-            continue
-        if read in states and states[read].state == STALE:
-            return states[read].why
-        return "model" if read == "model" else "code" if read.endswith(".sql") else "input"
-    return ""
+def is_kept(published: Version, cache: SentenceCache | None) -> bool:
+    """Whether the cache holds all the scores that a version was made from."""
+    return cache is None or cache.holds(published.manifest.score_parts)
+
+
+def why_not_built(space: SpaceFolder) -> str:
+    """Why a build finds no published version: nothing is there, or it cannot be used."""
+    try:
+        space.current()
+    except StoreError as error:
+        if isinstance(error.__cause__, SchemaVersionError):
+            return "made by another roomtables"
+    return "published version unusable" if space.pointer() else NOT_BUILT
 
 
 def _damaged(version: Version) -> dict[str, str]:
     """Stages whose published files are not as noted, and how."""
     return {
-        LOOKUP if name.startswith(f"{LOOKUP}/") else Path(name).stem: how
+        Path(name).stem if name.endswith(".parquet") else LOOKUP: (
+            f"{name} {'missing' if how == 'removed' else how}"
+        )
         for name, how in version.damaged_files()
     }
 

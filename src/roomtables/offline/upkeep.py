@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from roomtables.errors import StoreError, needing
 from roomtables.schemas import SCORES
 from roomtables.storage.aside import REMOVING, remove_folder
+from roomtables.storage.client_databases import write_anew
 from roomtables.storage.files import build_lock, is_held, listed, refuse_outside, writing
 from roomtables.storage.removal import KEPT_VERSIONS, remove_left, remove_old, size_of
 from roomtables.storage.versions import CURRENT, STAGING, SpaceFolder, Version
@@ -79,6 +80,7 @@ def collect_garbage(
                 Removed(str((cache.folder / name).relative_to(tables)), "retired", sizes[name])
                 for name in cache.remove_retired()
             ]
+        write_anew(tables)
         return removed
 
 
@@ -109,6 +111,7 @@ def compact(tables: Path) -> list[Compacted]:
             done.append(
                 Compacted(cache.scorer_id, before, after, bytes_before, size_of(cache.folder))
             )
+        write_anew(tables)
     return done
 
 
@@ -126,7 +129,9 @@ def roll_back(tables: Path, labels: str) -> tuple[Version, Version]:
         current = space.current()
         before = space.before(current)
         before.verify()
-        return current, space.point_at(before.path)
+        published = space.point_at(before.path)
+        write_anew(tables)
+        return current, published
 
 
 def _require(tables: Path) -> None:

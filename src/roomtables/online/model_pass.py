@@ -63,12 +63,11 @@ class ModelPass:
     def ranks_unlisted(self) -> bool:
         """Whether unlisted objects can be ranked among the listed ones; loads the model.
 
-        Only the model whose scores the tables hold can do that: another's are not comparable. Its
-        sentences need the objects' plurals.
+        Only the model whose scores the tables hold can do that: another's are not comparable.
         """
         proxy = self._decider.decision.source == PROXY
         comparable = proxy and self._model.extends_tables
-        return comparable and self.has_model() and can_inflect()
+        return comparable and self.has_model()
 
     def has_model(self) -> bool:
         """Whether there is a model to ask; loads it."""
@@ -169,9 +168,14 @@ def _picks_listed(room: Prediction) -> bool:
 
 
 def _askable(unlisted: Iterable[str]) -> list[str]:
-    """The unlisted names of a room that the model is asked about, as a sentence says them."""
-    names = dict.fromkeys(as_spoken(name) for name in unlisted if _is_short(name))
-    return [name for name in names if any(map(str.isalpha, name))][:_MOST_UNLISTED]
+    """The unlisted names of a room that the model is asked about, as a sentence says them.
+
+    The sentence needs their plurals. Where there are too many, in whatever order they are given, it
+    is asked about the same ones.
+    """
+    names = {as_spoken(name) for name in unlisted if _is_short(name)}
+    spoken = sorted(name for name in names if any(map(str.isalpha, name)))
+    return [name for name in spoken if can_inflect(name)][:_MOST_UNLISTED]
 
 
 def _is_short(name: str) -> bool:

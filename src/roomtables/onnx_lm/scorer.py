@@ -20,6 +20,7 @@ from roomtables.onnx_lm.facts import (
     OnnxFacts,
 )
 from roomtables.packing.sequences import FloatArray, Sequences, padded_batches, sort_sequences
+from roomtables.packing.tokens import WordTokenizer
 from roomtables.packing.trie import Layout, build_trie, sum_paths
 from roomtables.scorer import ONE_THREAD_PARAMETERS, TOLERANCE_NATS, SentenceScore
 from roomtables.token_limits import TokenLimits, quoted
@@ -50,7 +51,10 @@ class OnnxScorer:
         self.path = path
         self.facts = facts
         self._session = session
-        self._tokenizer = tokenizer
+        # Not its batches, which keep threads of their own.
+        self._tokens = WordTokenizer(
+            tokenizer, lambda sentences: [tokenizer.encode(sentence).ids for sentence in sentences]
+        )
         self._runtime = runtime
         self._limits = TokenLimits(
             self.scorer_id, facts.vocabulary, facts.context, facts.appended_eos
@@ -139,9 +143,11 @@ class OnnxScorer:
 
     def _score_window(self, window: Sequence[str]) -> list[SentenceScore]:
         self._limits.refuse_empty(window)
-        ids = [self._tokenizer.encode(sentence).ids for sentence in window]
-        encoded = self._limits.scorable(window, ids)
-        sequences, index = sort_sequences(encoded)
+        tokens = self._tokens(window)
+        if self.facts.appended_eos is not None:
+            tokens = tokens.without_last(self.facts.appended_eos)
+        self._limits.check_all(window, tokens.flat, tokens.lengths)
+        sequences, index = sort_sequences(tokens)
         log_probs = self._log_probs(sequences)[index]
         bad = np.flatnonzero(~np.isfinite(log_probs))
         if len(bad):
@@ -149,8 +155,8 @@ class OnnxScorer:
                 f"{self.scorer_id} gives {quoted(window[bad[0]])} a log probability of "
                 f"{log_probs[bad[0]]}; {_AGAIN}"
             )
-        counts = (len(tokens) - 1 for tokens in encoded)
-        return list(map(SentenceScore, log_probs.tolist(), counts))
+        counts = tokens.lengths - 1
+        return list(map(SentenceScore, log_probs.tolist(), counts.tolist()))
 
     def _log_probs(self, sequences: Sequences) -> FloatArray:
         """Log probability in nats of each sequence, ``[sequences]``."""

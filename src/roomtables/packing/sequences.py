@@ -6,14 +6,14 @@ prefix, for models with a key-value cache.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
 
-IntArray = npt.NDArray[np.int64]
+from roomtables.packing.tokens import IntArray, TokenLists
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -41,12 +41,12 @@ class Sequences:
         return Sequences(self.matrix[chosen, : lengths.max(initial=0)], lengths)
 
 
-def sort_sequences(encoded: Sequence[Sequence[int]]) -> tuple[Sequences, IntArray]:
+def sort_sequences(encoded: Iterable[Sequence[int]]) -> tuple[Sequences, IntArray]:
     """Sorted distinct sequences, and for each one given its index among them, ``[given]``."""
-    lengths = np.fromiter(map(len, encoded), np.int64, len(encoded))
-    flat = np.fromiter(chain.from_iterable(encoded), np.int64, lengths.sum())
-    matrix = np.full((len(encoded), lengths.max(initial=0)), -1, np.int64)
-    matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = flat
+    tokens = TokenLists.of(encoded)
+    lengths = tokens.lengths
+    matrix = np.full((len(tokens), lengths.max(initial=0)), -1, np.int64)
+    matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = tokens.flat
     order = np.lexsort(matrix.T[::-1])
     ordered = matrix[order]
     first = np.ones(len(order), bool)

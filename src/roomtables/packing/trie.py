@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomtables.packing.sequences import FloatArray, IntArray, Sequences, batches_by_length
+from roomtables.packing.sequences import FloatArray, Sequences, batches_by_length
+from roomtables.packing.tokens import IntArray
 
 
 @dataclass(frozen=True)

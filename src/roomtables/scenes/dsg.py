@@ -16,6 +16,7 @@ from typing import Any
 
 from roomtables.errors import InputError
 from roomtables.scenes.dsg_graph import Graph, node_box, node_point, parse_graph, rooms_of, symbol
+from roomtables.scenes.dsg_message import WrittenRoom, packed_probabilities, packed_text
 from roomtables.scenes.hydra import load_label_names
 from roomtables.scenes.matterport_labels import ROOM_NAMES
 from roomtables.scenes.scene import (
@@ -195,9 +196,13 @@ class NamedRoom:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
-    def metadata(self) -> str:
-        """JSON of the metadata of a room that has no other."""
-        return json.dumps({"roomtables": dict(self.provenance)})
+    def packed(self) -> WrittenRoom:
+        """What is written into the node of a room that has no metadata, but for its label."""
+        return WrittenRoom(
+            packed_text(self.label),
+            probabilities=packed_probabilities(self.probabilities),
+            metadata=packed_text(json.dumps({"roomtables": dict(self.provenance)})),
+        )
 
 
 def label_rooms(

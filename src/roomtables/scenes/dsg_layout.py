@@ -84,6 +84,16 @@ def walk(data: bytes, at: int, layout: Layout) -> int:
     return at + layout.rest
 
 
+def list_spans(data: bytes, at: int, layout: Layout) -> list[tuple[int, int]]:
+    """Where each of the lists begins and ends in what is laid out so."""
+    spans = []
+    for part in layout.lists:
+        end = walk(data, at, Layout((part,), 0))
+        spans.append((at + part[0], end))
+        at = end
+    return spans
+
+
 def each_of(layout: Layout, least: int) -> List:
     """A list of entries that are all laid out so, in ``least`` bytes or more."""
 
@@ -144,6 +154,10 @@ MESH: Parts = [
     List(U64),  # times first seen
     List(LIST + 3 * U64),  # faces
 ]
+
+
+# The lists of a node, as `layouts_of` lays them out: those of all, of semantic ones, of rooms.
+METADATA, NAME, FEATURE, PROBABILITIES = 0, 1, 3, 4
 
 
 @cache

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from roomtables.config import load_labels
+from roomtables.config import labels_name, load_labels
 from roomtables.csv_rows import csv_lines
 from roomtables.errors import InputError
 from roomtables.labels import normalise
@@ -65,7 +65,7 @@ Namer = Callable[[Category], str | None]
 
 def house_labels(labels: str | None) -> str:
     """The label space to name a house's objects in, where tables of ``labels`` are to answer."""
-    return NYUCLASS if labels and Path(labels).name == NYUCLASS else MPCAT40
+    return NYUCLASS if labels and labels_name(labels) == NYUCLASS else MPCAT40
 
 
 def object_namer(options: ReadOptions) -> Namer:

@@ -49,7 +49,7 @@ ARRAYS: Mapping[str, tuple[str, int]] = {
     "scores": ("<f4", 2),
 }
 
-_SMALL = 1 << 20  # bytes of a file that is read and hashed whole on every open
+SMALL_BYTES = 1 << 20  # bytes of a file that is read and hashed whole on every open
 _PAGE = 4096
 _LONGEST_NAME = 255  # of a file
 _SAMPLED_PAGES = 32
@@ -220,7 +220,7 @@ def _open_array(folder: Path, listed: Mapping[str, Any], name: str, verify: bool
     with path.open("rb") as file:
         if os.fstat(file.fileno()).st_size != size:
             raise ValueError(f"{path.name} has not the {size} bytes that it was written with")
-        if size <= _SMALL:
+        if size <= SMALL_BYTES:
             content = file.read()
             if hashlib.sha256(content).hexdigest() == listed["sha256"]:
                 array = np.load(io.BytesIO(content), allow_pickle=False)

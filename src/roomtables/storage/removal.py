@@ -19,7 +19,7 @@ from roomtables.storage.versions import MANIFEST, NAME, STAGING, SpaceFolder
 
 KEPT_VERSIONS = 2
 # Folders of a label space in which files are written aside at any time.
-_WRITTEN_INTO = (MISSES, EVALUATIONS)
+_WRITTEN_INTO = (MISSES, EVALUATIONS, "databases")
 # A version that is being written, by the process's id, or removed, by the version's name.
 _HALF = re.compile(rf"{re.escape(STAGING)}\d+|{re.escape(REMOVING)}{NAME.pattern}")
 

@@ -14,7 +14,7 @@ from roomtables import build
 from roomtables.config import BuildConfig
 from roomtables.errors import ConfigError, MissingExtraError, ModelError
 from roomtables.offline.engines import ShardWriter
-from roomtables.offline.inputs import LazyScorer
+from roomtables.offline.model import LazyScorer
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space

@@ -21,14 +21,19 @@ def states(found):
 
 
 def agrees(tables, name="hash@1", **options):
-    """Plan, build, compare; returns both."""
-    planned = plan(tables=tables, scorer=HashScorer(name), **options)
+    """Plan by formula and by the cache, build, compare; returns the plan by cache, the report."""
+    bound = plan(tables=tables, scorer=HashScorer(name), **options)
+    planned = plan(tables=tables, scorer=HashScorer(name), exact=True, **options)
     scorer = HashScorer(name)
     report = build(tables=tables, scorer=scorer, **options)
     if planned.exact:
         assert planned.sentences_to_score == report.sentences_scored == len(scorer.asked)
     else:
         assert planned.sentences_to_score >= report.sentences_scored == len(scorer.asked)
+    assert bound.sentences_to_score >= report.sentences_scored
+    assert not bound.exact or bound.sentences_to_score == report.sentences_scored
+    held = SpaceFolder(tables, planned.labels).current().manifest.combinations
+    assert bound.coverage.held >= planned.coverage.held >= sum(held.values())
     assert report.published == any(stage.state != "cached" for stage in planned.stages)
     again = plan(tables=tables, scorer=HashScorer(name), **(options | {"full_refresh": False}))
     assert {stage.state for stage in again.stages} == {"cached"}
@@ -79,7 +84,12 @@ def test_counts_that_come_later_are_exact(tmp_path, labels, counts):
     planned, _ = agrees(tmp_path / "t", labels=labels, counts=counts)
     assert planned.exact
     found = states(planned)
-    assert found["cooccurrence"] == found["entropy"] == found["lookup"] == ("stale", "input")
+    assert (
+        found["cooccurrence"]
+        == found["entropy"]
+        == found["lookup"]
+        == ("stale", "counts.csv added")
+    )
     assert found["objects"] == found["rooms"] == ("cached", "")
 
 
@@ -87,7 +97,11 @@ def test_another_model(tmp_path, labels):
     agrees(tmp_path / "t", labels=labels)
     planned, _ = agrees(tmp_path / "t", "hash@2", labels=labels)
     found = states(planned)
-    assert found["sentence_scores"] == found["entropy"] == ("stale", "model")
+    assert (
+        found["sentence_scores"]
+        == found["entropy"]
+        == ("stale", "hash: weights, tokenizer or device changed")
+    )
     assert found["objects"] == ("cached", "")
     planned, _ = agrees(tmp_path / "t", labels=labels)  # back: all is held still
     assert planned.sentences_to_score == 0
@@ -110,11 +124,11 @@ def test_another_code(tmp_path, labels, monkeypatch):
         "names": ("cached", ""),
         "sentence_scores": ("cached", ""),
         "cooccurrence": ("cached", ""),
-        "entropy": ("stale", "code"),
+        "entropy": ("stale", "entropy.sql changed"),
         "room_bias": ("cached", ""),
-        "queries": ("stale", "code"),
-        "query_scores": ("stale", "code"),
-        "lookup": ("stale", "code"),
+        "queries": ("stale", "entropy.sql changed"),
+        "query_scores": ("stale", "entropy.sql changed"),
+        "lookup": ("stale", "entropy.sql changed"),
     }
 
 
@@ -123,15 +137,15 @@ def test_full_refresh(tmp_path, labels, counts):
     planned, report = agrees(tmp_path / "t", labels=labels, counts=counts, full_refresh=True)
     assert planned.exact
     assert report.sentences_cached == 0
-    assert states(planned)["sentence_scores"] == ("stale", "refresh")
+    assert states(planned)["sentence_scores"] == ("stale", "full refresh")
 
 
 def test_a_new_object_asks_only_sentences_that_hold_it(tmp_path, labels):
     agrees(tmp_path / "t", labels=labels)
     objects = (*SPACE.objects, *LabelSpace.named("x", ["lamp"], ["x"]).objects)
     write_space(tmp_path / "labels", LabelSpace("small", objects, SPACE.rooms))
-    planned = plan(tables=tmp_path / "t", labels=labels, scorer=HashScorer())
     scorer = HashScorer()
+    planned = plan(tables=tmp_path / "t", labels=labels, scorer=scorer, exact=True)
     report = build(tables=tmp_path / "t", labels=labels, scorer=scorer)
     assert planned.exact
     assert planned.sentences_to_score == report.sentences_scored == len(scorer.asked)
@@ -148,7 +162,7 @@ def test_a_removed_part_asks_only_what_it_held(tmp_path, labels):
     (part,) = set((tables / "scores" / "hash@1").glob("part-*")) - {before}
     part.unlink()
     planned, report = agrees(tables, labels=labels)
-    assert states(planned)["query_scores"] == ("missing", "removed")
+    assert states(planned)["query_scores"] == ("missing", "score part missing")
     assert states(planned)["sentence_scores"] == ("cached", "")
     assert report.sentences_scored == 10 * 3
 
@@ -158,7 +172,7 @@ def test_a_removed_table_is_made_again_from_the_scores(tmp_path, labels):
     build(tables=tables, labels=labels, scorer=HashScorer())
     (SpaceFolder(tables, "small").current().path / "entropy.parquet").unlink()
     planned, report = agrees(tables, labels=labels)
-    assert states(planned)["entropy"] == ("missing", "removed")
+    assert states(planned)["entropy"] == ("missing", "entropy.parquet missing")
     assert report.sentences_scored == 0
     SpaceFolder(tables, "small").current().verify()
 
@@ -178,7 +192,7 @@ def test_combinations_of_rooms(tmp_path, labels):
     rooms = tmp_path / "rooms.jsonl"
     rooms.write_text(json.dumps({"room_id": "1", "objects": ["sink", "bed", "stove", "toilet"]}))
     planned, _ = agrees(tmp_path / "t", labels=labels, combinations=str(rooms))
-    assert not planned.exact
+    assert not planned.exact  # which three of the four are asked about is not known yet
     assert planned.sentences_to_score == 4 * 4 + 3
     assert planned.coverage.held == 1
     assert planned.coverage.rest_sentences == 13 * 3

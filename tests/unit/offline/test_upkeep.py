@@ -289,6 +289,88 @@ def test_diff_of_two_models_puts_other_rooms_first(tables, labels):
         assert changes == sorted(changes, reverse=True)
 
 
+def last_two(space):
+    return compare(space.before(space.current()), space.current())
+
+
+def test_diff_of_a_room_with_another_label(tables, labels, tmp_path):
+    """Labels sort otherwise then; no answer is another, but for the label."""
+    space = make(tables, labels, 2)
+    write_rooms(tmp_path, ["yonder", "bedroom", "kitchen"], like="bathroom")
+    build(tables=tables, labels=labels, scorer=Renamed("yonder", "bathroom"), k=2)
+    found = last_two(space)
+    assert found.causes == ("room bathroom renamed to yonder",)
+    assert [(row["held_in_both"], row["other_room"]) for row in found.combinations] == [(10, 0)]
+    assert found.objects == []
+    assert found.nothing_moved
+
+
+class Renamed(HashScorer):
+    """Scores a room under another label as it was under its own."""
+
+    def __init__(self, new, old):
+        super().__init__()
+        self._names = (new, old)
+
+    def score_of(self, sentence):
+        return HashScorer().score_of(sentence.replace(*self._names))
+
+
+def write_rooms(folder, rooms, like):
+    space = LabelSpace.named("small", ["bed"], rooms)
+    others = [room for room in SPACE.rooms if room.label not in {like, "bedroom", "kitchen"}]
+    write_space(folder / "labels", LabelSpace("small", SPACE.objects, (*space.rooms, *others)))
+
+
+class Noisy(HashScorer):
+    """The same scores, but for sums in another order."""
+
+    def score_of(self, sentence):
+        found = super().score_of(sentence)
+        return SentenceScore(found.log_prob * (1 + 1e-14), found.token_count)
+
+
+def test_diff_of_sums_in_another_order_is_short(tables, labels):
+    space = make(tables, labels, 2)
+    build(tables=tables, labels=labels, scorer=Noisy(), k=2, full_refresh=True)
+    found = last_two(space)
+    assert (found.objects, found.groups, found.causes) == ([], [], ())
+    assert found.nothing_moved
+
+
+def test_a_tie_within_the_tolerance_is_no_other_room(tables, tmp_path):
+    space = LabelSpace.named("small", ["bed", "sink"], ["bathroom", "bedroom"])
+    labels = str(write_space(tmp_path / "labels", space))
+    for counted in (9, 9 + 1e-12):
+        counts = tmp_path / "counts.csv"
+        counts.write_text(f"object,room,count\nbed,bathroom,9\nbed,bedroom,{counted!r}\n")
+        build(tables=tables, labels=labels, scorer=HashScorer(), k=1, counts=counts)
+    found = last_two(SpaceFolder(tables, "small"))
+    assert found.causes == ("counts.csv changed",)
+    assert found.nothing_moved
+
+
+def test_diff_groups_what_moved_by_cause(tables, labels, tmp_path):
+    space = make(tables, labels, 1)
+    counts = tmp_path / "counts.csv"
+    counts.write_text("object,room,count\nbed,bedroom,9\n")
+    build(tables=tables, labels=labels, scorer=HashScorer(), k=1, counts=counts)
+    found = last_two(space)
+    assert [(g["source"], g["cause"], g["objects"]) for g in found.groups] == [
+        ("ground_truth", "counts.csv added", 4)
+    ]
+    counts.write_text("object,room,count\nbed,kitchen,9\n")
+    build(tables=tables, labels=labels, scorer=HashScorer(), k=1, counts=counts, reduction="mean")
+    found = last_two(space)
+    groups = {group["source"]: group for group in found.groups}
+    assert groups["ground_truth"]["cause"] == "counts.csv changed"
+    assert (groups["ground_truth"]["objects"], groups["ground_truth"]["other_first_room"]) == (1, 1)
+    assert groups["proxy"]["cause"] == "reduction sum → mean"
+    assert groups["proxy"]["objects"] == 4
+    largest = max(abs(r["entropy_change"]) for r in found.objects if r["source"] == "proxy")
+    assert groups["proxy"]["largest_entropy_change"] == largest
+
+
 @pytest.mark.parametrize("action", [collect_garbage, compact, lambda t: roll_back(t, "small")])
 def test_no_folder_is_made_for_upkeep(tables, action):
     with pytest.raises(StoreError, match=r"no tables in .*roomtables build"):

@@ -117,3 +117,13 @@ def test_one_graph_has_one_answer(
             assert (found["name"], label) == ((room, room) if room else (found["name"], None))
     if not offline and len(classified) > 2:
         assert sum(room is None for room in classified.values()) == 1  # the empty one
+
+
+def test_more_unknown_names_than_are_asked_about_are_the_same_in_any_order(tables: Path) -> None:
+    opened = RoomTables.open(tables, "mpcat40")
+    names = [f"zorb {letter}{other}" for letter in "abcdefgh" for other in "ijklmnopq"]
+    answers = [opened.classify(["sink", *given]) for given in (names, names[::-1])]
+    assert len(names) > 50
+    assert answers[0].answered_by == answers[1].answered_by == "lm"
+    assert answers[0].objects == answers[1].objects
+    assert answers[0].compared == pytest.approx(answers[1].compared)

@@ -164,29 +164,6 @@ def test_what_is_wrong_is_told(message: bytes, tmp_path: Path) -> None:
         check_graph(strange, (1, 9, 0))
 
 
-def test_the_labels_of_objects_are_those_that_spark_dsg_reads() -> None:
-    """Among other nodes and in another layer; with lists, long names and metadata or without."""
-    chance, made = Random(5), spark_dsg.DynamicSceneGraph()
-    plain = {}
-    for index in range(900):
-        kind = chance.choice(("ObjectNodeAttributes", "KhronosObjectAttributes"))
-        own = getattr(spark_dsg, kind)()
-        own.name, own.semantic_label = "x" * chance.randrange(24), chance.randrange(2**32)
-        if chance.random() < 0.2:
-            own.metadata.set({"k": 1})
-        if kind.startswith("Object") and chance.random() < 0.5:
-            own.mesh_connections = [1, 2]
-        layer, key = chance.choice(("OBJECTS", "PLACES")), (ord("O") << 56) + index
-        made.add_node(layer, key, own)
-        if layer == "OBJECTS" and len(own.name) <= 15 and not own.metadata.get():
-            plain[key] = own.semantic_label
-        made.add_node("PLACES", (ord("p") << 56) + index, spark_dsg.PlaceNodeAttributes())
-    key = made.get_layer("OBJECTS").key
-    labels = check_graph(made.to_binary(), NEWEST).object_labels(key.layer, key.partition)
-    assert labels == plain
-    assert len(labels) > 200
-
-
 CHILD = """
 import resource, sys
 from pathlib import Path

@@ -132,7 +132,7 @@ def test_a_wrong_file_is_an_error_and_never_a_wrong_label(
     tables: Path, damage: Callable[[Path], None], sampled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if sampled:  # as large files are
-        monkeypatch.setattr(lookup, "_SMALL", 0)
+        monkeypatch.setattr(lookup, "SMALL_BYTES", 0)
     damage(current(tables) / "lookup")
     with pytest.raises(StoreError, match="run `roomtables build") as caught:
         RoomTables.open(tables, "small")
@@ -143,7 +143,7 @@ def test_files_that_are_sampled_answer_as_those_read_whole(
     published: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = RoomTables.open(published, "small").lookup.sources["proxy"]
-    monkeypatch.setattr(lookup, "_SMALL", 0)
+    monkeypatch.setattr(lookup, "SMALL_BYTES", 0)
     mapped = RoomTables.open(published, "small", verify=True).lookup.sources["proxy"]
     for name in ("entropy", "ranks", "room_logits", "bias", "keys", "scores"):
         np.testing.assert_array_equal(getattr(mapped, name), getattr(whole, name))
@@ -153,7 +153,7 @@ def test_files_that_are_sampled_answer_as_those_read_whole(
 def test_a_flipped_bit_anywhere_is_found_when_asked_to_verify(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lookup, "_SMALL", 0)
+    monkeypatch.setattr(lookup, "SMALL_BYTES", 0)
     monkeypatch.setattr(lookup, "_PAGE", 1)
     about = write(tmp_path / "lookup", np.zeros((40, 3), np.float32))
     path = tmp_path / "lookup" / "proxy.scores.npy"
@@ -182,7 +182,7 @@ def test_a_version_removed_while_open_answers_on(tables: Path) -> None:
 def test_a_mapped_version_removed_while_open_answers_on(
     tables: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lookup, "_SMALL", 0)
+    monkeypatch.setattr(lookup, "SMALL_BYTES", 0)
     test_a_version_removed_while_open_answers_on(tables)
 
 

@@ -1,19 +1,26 @@
-"""Views and macros against the lookup's own arithmetic, the prompt, and what may not be done."""
+"""Views and macros against the lookup's own arithmetic, and what may not be done."""
 
 import json
-import subprocess
-import sys
-from types import SimpleNamespace
+import logging
+from datetime import datetime, timezone
 
 import pytest
-from click.testing import CliRunner
 
 from roomtables import RoomTables, build
-from roomtables.cli import exploring, main
 from roomtables.config import pipeline_folder
-from roomtables.errors import InputError
-from roomtables.storage.views import connect, guide, select
-from tiny_tables import OBJECTS, ROOMS, FitScorer, build_tables, write_labels
+from roomtables.errors import InputError, StoreError
+from roomtables.storage.misses import FOLDER
+from roomtables.storage.versions import SpaceFolder
+from roomtables.storage.views import connect, select
+from sql_fixtures import save_evaluation
+from tiny_tables import (
+    OBJECTS,
+    ROOMS,
+    FitScorer,
+    build_tables,
+    change_tables,
+    write_labels,
+)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +75,7 @@ def test_picked_and_answers_are_rule_query(connection, tables):
     for given in (list(OBJECTS), sorted(expected.objects), [*OBJECTS, "unicorn"]):
         _, rows = select(connection, f"from answers({given})")
         assert {row[0]: row[2] for row in rows} == pytest.approx(expected.probabilities, abs=1e-9)
-    assert select(connection, "from answers(['unicorn'])")[1] == []
+    assert select(connection, "from answers(['unicorn'])")[1] == [(None, None, None, ["unicorn"])]
 
 
 def test_the_manifest_says_how_to_decide(connection):
@@ -118,10 +125,13 @@ def test_macros_take_every_name_and_say_what_they_could_not_read(connection, tab
     ]
 
 
-def test_a_room_of_unknown_names_is_one_row_without_an_answer(connection):
-    _, rows = select(connection, "from decided(['toilte', 'snk'])")
-    assert rows == [(None, None, None, None, ["snk", "toilte"])]
-    assert select(connection, "from decided([])")[1] == []
+@pytest.mark.parametrize("macro", ["decided", "answers", "calibrated", "p_room_given", "picked"])
+def test_a_room_of_unknown_names_is_one_row_without_an_answer(connection, macro):
+    _, (row,) = select(connection, f"from {macro}(['toilte', 'snk'])")
+    assert set(row[:-1]) == {None}
+    assert row[-1] == ["snk", "toilte"]
+    assert select(connection, f"from {macro}([])")[1] == []
+    assert select(connection, f"from {macro}(['bed'], from_source := 'nobody')")[1] == []
 
 
 def test_what_the_tables_lack_is_decided_by_rule_pooled(tmp_path):
@@ -165,7 +175,7 @@ def test_informative_objects_and_signatures(connection):
 
 def test_every_view_and_macro_is_described(connection):
     files = [p for kind in ("views", "macros") for p in (pipeline_folder() / kind).glob("*.sql")]
-    described = {row["name"].split("(")[0]: row["holds"] for row in guide(connection)}
+    described = {name.split("(")[0]: holds for name, holds in select(connection, "from guide")[1]}
     assert {path.stem for path in files} <= described.keys()
     assert all(described.values())
     for path in (pipeline_folder() / "views").glob("*.sql"):
@@ -183,6 +193,9 @@ def test_every_view_and_macro_is_described(connection):
         "set threads = 3",
         "attach 'x.duckdb'",
         "select nonsense",
+        "with gone as (delete from noted_misses returning *) select * from gone",
+        "with new as (insert into noted_misses (source) values ('x') returning *) from new",
+        "select count(*) from glob('/etc/*')",
         "",
     ],
 )
@@ -191,60 +204,221 @@ def test_what_does_not_only_read_the_tables_is_refused(connection, query):
         select(connection, query)
 
 
-def run(folder, *arguments, stdin=None):
-    command = ["sql", "--tables", str(folder), "--labels", "flat", *arguments]
-    return CliRunner().invoke(main, command, input=stdin)
-
-
-def test_queries_from_a_pipe(folder):
-    found = run(folder, "--format", "csv", stdin="select 1 as a;\n\nselect\n2 as b")
-    assert found.stdout == "a\n1\nb\n2\n"
-    found = run(folder, stdin="select 1 as a;\nselect nonsense;\nselect 2;")
-    assert found.exit_code == 1
-    assert "nonsense" in found.stderr
-    assert "p_room_given(" in run(folder, stdin=".tables\n.quit\nselect nonsense;").stdout
-
-
-def test_a_prompt_survives_errors(folder, monkeypatch):
-    lines = iter(["selec 1;", "select 41 + 1", "as answer;", ".quit"])
-    asked = []
-
-    def read(prompt):
-        asked.append(prompt)
-        return next(lines)
-
-    monkeypatch.setattr(exploring.sys, "stdin", type("Tty", (), {"isatty": lambda self: True})())
-    monkeypatch.setattr("builtins.input", read)
-    shown = []
-    monkeypatch.setattr(exploring.click, "echo", lambda text="", **_: shown.append(str(text)))
-    with exploring.click.Context(exploring.sql_command):
-        exploring.sql_command.callback(None, folder, "flat", False, "table", None)
-    assert any(text.startswith("error: SQL") for text in shown)
-    assert any("42" in text for text in shown)
-    assert asked == ["roomtables> ", "roomtables> ", "       ...> ", "roomtables> "]
-
-
-def test_ui_without_harlequin_says_what_to_install(folder, monkeypatch):
-    monkeypatch.setattr(exploring, "find_spec", lambda name: None)
-    found = run(folder, "--ui")
-    assert found.exit_code == 1
-    assert "pip install 'roomtables[ui]'" in found.stderr
-    assert run(folder, "--ui", "select 1").exit_code == 2
-
-
-def test_ui_hands_over_a_database_with_every_view(folder, monkeypatch):
-    """What harlequin is started on can be read by another process, read-only."""
-    read = (
-        "import duckdb, json, sys; c = duckdb.connect(sys.argv[1], read_only=True); "
-        "print(json.dumps(c.execute('select count(*) from entropy').fetchall()), "
-        "len(c.execute(\"from p_room_given(['bed'])\").fetchall()))"
+def test_times_with_a_zone_need_no_other_package(connection):
+    columns, rows = select(
+        connection,
+        "select timestamptz '2026-01-02 03:04:05+02' as moment, "
+        "[timestamptz '2026-01-02 03:04:05Z'] as moments, 'x' as moment, now() > '2020-01-01' as a",
     )
-    outputs = []
+    assert columns == ["moment", "moments", "moment", "a"]
+    assert rows == [
+        (
+            datetime(2026, 1, 2, 1, 4, 5, tzinfo=timezone.utc),
+            [datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)],
+            "x",
+            True,
+        )
+    ]
+    with pytest.raises(InputError, match="cast the column to varchar"):
+        select(connection, "select 'infinity'::timestamptz")
 
-    def start(command, check):
-        outputs.append(subprocess.check_output([sys.executable, "-c", read, command[-1]]))
 
-    monkeypatch.setattr(exploring, "find_spec", lambda name: object())
-    monkeypatch.setattr(exploring, "subprocess", SimpleNamespace(run=start))
-    assert run(folder, "--ui").exit_code == 0
-    assert outputs[0].decode().split() == [json.dumps([[2 * len(OBJECTS)]]), str(len(ROOMS))]
+def test_one_column_per_room(connection):
+    _, rows = select(
+        connection,
+        'select object, "kitchen" - "office" from p_room_by_object where source = \'proxy\'',
+    )
+    long = dict(select(
+        connection,
+        "select object, sum(case room when 'kitchen' then p_room_given_object "
+        "when 'office' then -p_room_given_object else 0 end) "
+        "from cooccurrence where source = 'proxy' group by object",
+    )[1])  # fmt: skip
+    assert dict(rows) == pytest.approx(long, abs=1e-12)
+    _, ((margin,),) = select(
+        connection,
+        'select "kitchen" - "office" from query_scores '
+        "where source = 'proxy' and objects = ['oven']",
+    )
+    _, rows = select(connection, "from answers(['oven'], from_source := 'proxy')")
+    scores = {row[0]: row[1] for row in rows}
+    assert margin == pytest.approx(scores["kitchen"] - scores["office"], abs=1e-6)
+
+
+@pytest.mark.parametrize("rule", ["query", "calibrated"])
+def test_answers_by_combination_are_those_of_the_lookup(connection, tables, rule):
+    _, rows = select(
+        connection,
+        "select objects, room, p_room, second_room, second_p_room, margin_nats "
+        f"from answers_by_combination where source = 'proxy' and rule = '{rule}'",
+    )
+    decides = tables.deciding(rule=rule)
+    assert len(rows) == 15  # of one or two of five objects
+    for objects, room, p, second, second_p, margin in rows:
+        expected = decides.classify(objects)
+        best = sorted(expected.probabilities.items(), key=lambda found: (-found[1], found[0]))
+        assert [room, second] == [name for name, _ in best[:2]]
+        assert [p, second_p] == pytest.approx([value for _, value in best[:2]], abs=1e-9)
+        nats = sorted(expected.compared.tolist())
+        assert margin == pytest.approx(nats[-1] - nats[-2], abs=1e-9)
+
+
+def test_versions_and_what_changed_between_any_two(tmp_path):
+    """Against the rooms that a lookup of each version answers."""
+    labels = str(write_labels(tmp_path))
+    spaces = SpaceFolder(tmp_path / "tables", "flat")
+    answers = {}
+    for reduction, wanted in (("sum", "all"), ("mean", "all")):
+        build(
+            tables=tmp_path / "tables", labels=labels, scorer=FitScorer(), reduction=reduction,
+            combinations=wanted, k=2,
+        )  # fmt: skip
+        opened = RoomTables.open(tmp_path / "tables", "flat", offline=True, note_misses=False)
+        answers[opened.version.name] = opened
+    with connect(tmp_path / "tables", spaces.current()) as connection:
+        _, rows = select(
+            connection, "select version, reduction, published, k from versions order by 1"
+        )
+        old, new = sorted(answers)
+        assert rows == [(old, "sum", False, 2), (new, "mean", True, 2)]
+        for before, after in ((old, new), (new, old)):
+            _, rows = select(
+                connection,
+                "select objects, room_before, room_after, p_before, p_after from version_changes "
+                f"where before = '{before}' and after = '{after}' and kind = 'combination'",
+            )
+            assert len(rows) == 15
+            for objects, *found in rows:
+                pair = [answers[name].classify(objects) for name in (before, after)]
+                assert found[:2] == [one.room for one in pair]
+                assert found[2:] == pytest.approx([one.probability for one in pair], abs=1e-9)
+        _, rows = select(
+            connection,
+            "select objects[1], entropy_before, entropy_after, p_after from version_changes "
+            f"where kind = 'object' and before = '{old}'",
+        )
+        assert {row[0] for row in rows} == set(OBJECTS)
+        entropies = dict(select(connection, "select object, entropy_nats from entropy")[1])
+        assert {row[0]: row[2] for row in rows} == pytest.approx(entropies, abs=1e-12)
+
+
+def test_a_damaged_version_that_is_not_published_is_left_out(tmp_path, caplog):
+    build_tables(tmp_path)
+    change_tables(tmp_path)
+    space = SpaceFolder(tmp_path / "tables", "flat")
+    older = space.versions()[0]
+    (older / "entropy.parquet").write_bytes(b"half")
+    with (
+        caplog.at_level(logging.WARNING),
+        connect(tmp_path / "tables", space.current()) as connection,
+    ):
+        found = select(connection, "select version from versions")[1]
+        assert found == [(space.current().name,)]
+    assert f"{older / 'entropy.parquet'} is damaged" in caplog.text
+
+
+def test_confusion_of_saved_evaluations(tmp_path, caplog):
+    folder = build_tables(tmp_path)
+    version = SpaceFolder(folder, "flat").current()
+    with connect(folder, version) as connection:
+        assert select(connection, "from confusion")[1] == []
+    rooms = [("1", "kitchen", "kitchen"), ("2", "kitchen", "office"), ("3", "kitchen", "office"),
+             ("4", "office", None)]  # fmt: skip
+    save_evaluation(version, "Monday's", rooms)
+    save_evaluation(version, "tuesday", rooms[:1])
+    (folder / "flat" / "evaluations" / "broken.parquet").write_bytes(b"PAR1 not")
+    with caplog.at_level(logging.WARNING), connect(folder, version) as connection:
+        _, found = select(
+            connection,
+            "select evaluation, room, predicted, rooms from confusion order by all nulls first",
+        )
+    assert found == [
+        ("Monday's", "kitchen", "kitchen", 1),
+        ("Monday's", "kitchen", "office", 2),
+        ("Monday's", "office", None, 1),
+        ("tuesday", "kitchen", "kitchen", 1),
+    ]
+    assert "broken.parquet is left out" in caplog.text
+
+
+def test_miss_coverage_says_what_is_answered_now(tmp_path):
+    log = tmp_path / "log.jsonl"
+    log.write_text('{"room_id": "1", "objects": ["bed", "lamp"]}\n')
+    folder = build_tables(tmp_path, str(log))
+    noted = folder / "flat" / FOLDER
+    noted.mkdir()
+    lines = [
+        {"source": "proxy", "objects": objects, "asked": f"2026-01-0{day}T00:00:00+00:00"}
+        for day, objects in ((1, ["oven", "chair"]), (2, ["oven", "chair"]), (3, ["lamp", "bed"]))
+    ]
+    (noted / "robot.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    query = "select objects, times_asked, last_asked, taken_in, answered from miss_coverage"
+    order = " order by times_asked desc"
+    version = SpaceFolder(folder, "flat").current()
+    with connect(folder, version) as connection:
+        assert select(connection, query + order)[1] == [
+            (["oven", "chair"], 2, datetime(2026, 1, 2), False, False),
+            (["lamp", "bed"], 1, datetime(2026, 1, 3), False, True),
+        ]
+        assert len(select(connection, "from misses")[1]) == 2
+    build(tables=folder, labels=str(tmp_path / "flat"), scorer=FitScorer(), combinations="misses")
+    with connect(folder, SpaceFolder(folder, "flat").current()) as connection:
+        _, rows = select(connection, query + " order by objects[1]")
+        assert rows == [
+            (["lamp", "bed"], None, None, True, True),
+            (["oven", "chair"], None, None, True, True),
+        ]
+        assert select(connection, "from misses")[1] == []
+
+
+def test_names_of_rooms_and_objects_may_hold_anything(tmp_path):
+    rooms = ['the "den"', "o'clock room", "a;b -- c", "object", "größe 部屋", "p_room", "rooms"]
+    labels = tmp_path / 'it\'s {0} "odd"'
+    labels.mkdir()
+    (labels / "objects.csv").write_text('object\nman\'s "thing"\nlamp\n', encoding="utf-8")
+    (labels / "rooms.csv").write_text(
+        "room\n" + "".join(f"{_csv(room)}\n" for room in rooms), encoding="utf-8"
+    )
+    for k in (1, 2):
+        build(
+            tables=tmp_path / "t", labels=str(labels), scorer=FitScorer(), k=k, combinations="all"
+        )
+    version = SpaceFolder(tmp_path / "t", labels.name).current()
+    with connect(tmp_path / "t", version) as connection:
+        _, found = select(connection, "from guide")
+        for name in (name for name, _ in found if "(" not in name):
+            select(connection, f"from {name}")
+        columns, rows = select(connection, "from p_room_by_object")
+        assert len(columns) == 2 + len(rooms)
+        assert sum(rows[0][2:]) == pytest.approx(1)
+        _, rows = select(
+            connection, "from decided(['man''s \"thing\"'], among := ['o''clock room', 'object'])"
+        )
+        assert {row[0] for row in rows} == {"o'clock room", "object"}
+
+
+def _csv(name):
+    return '"' + name.replace('"', '""') + '"'
+
+
+def _cut(content):
+    return content[:-1]
+
+
+def _flip(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+
+
+@pytest.mark.parametrize("damage", [_cut, _flip, lambda content: b""])
+@pytest.mark.parametrize("name", ["objects", "names", "cooccurrence", "entropy", "query_scores"])
+def test_a_damaged_table_is_one_clear_line(tmp_path, name, damage):
+    folder = build_tables(tmp_path)
+    version = SpaceFolder(folder, "flat").current()
+    path = version.path / f"{name}.parquet"
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(StoreError, match=rf"{name}\.parquet is damaged; run `roomtables build`"):
+        connect(folder, version)
+    path.unlink()
+    with pytest.raises(StoreError, match=rf"{name}\.parquet is damaged"):
+        connect(folder, version)
