@@ -25,7 +25,6 @@ SENTENCES = [
 # What is plain to anyone: the first of each pair is the likelier.
 FACTS = [
     ("Bathrooms often contain toilets.", "Bathrooms often contain stoves."),
-    ("Kitchens often contain stoves.", "Kitchens often contain beds."),
     ("Bedrooms often contain beds.", "Bedrooms often contain toilets."),
     ("People sleep in the bedroom.", "People sleep in the garage."),
     ("People cook in the kitchen.", "People cook in the bathroom."),

@@ -20,7 +20,7 @@ from roomtables import RoomTables, build
 from roomtables.errors import MissingExtraError, ModelError
 from roomtables.lm import export_onnx, identify, identities, load_scorer
 from roomtables.lm.gguf import TOKEN_TYPES, TOKENS, read_header
-from roomtables.lm.gguf_tokenizer import Vocabulary, disagreement
+from roomtables.lm.gguf_tokenizer import PROBES, Vocabulary, disagreement
 from roomtables.onnx_lm import OnnxScorer
 from support import small_space, write_space
 from unit.lm.conftest import byte_level_tokenizer, room_sentences, save_model
@@ -205,87 +205,139 @@ def test_without_the_extra(missing: str, file: Path, monkeypatch: pytest.MonkeyP
         load_scorer(str(file))
 
 
-class TestTokenizer:
-    """What transformers makes of a file's tokens is compared with the file."""
+def test_a_bos_that_the_file_asks_for_is_put_and_not_scored(
+    file: Path, folder: Path, tmp_path: Path
+) -> None:
+    asking = write_gguf(
+        folder, tmp_path / "bos.gguf", changes={"tokenizer.ggml.add_bos_token": True}
+    )
+    (plain,) = load_scorer(str(file)).score(SENTENCES[:1])
+    (begun,) = load_scorer(str(asking)).score(SENTENCES[:1])
+    assert begun.token_count == plain.token_count + 1
 
-    def test_a_bos_that_the_file_asks_for_is_put_and_not_scored(
-        self, file: Path, folder: Path, tmp_path: Path
-    ) -> None:
-        asking = write_gguf(
-            folder, tmp_path / "bos.gguf", changes={"tokenizer.ggml.add_bos_token": True}
-        )
-        (plain,) = load_scorer(str(file)).score(SENTENCES[:1])
-        (begun,) = load_scorer(str(asking)).score(SENTENCES[:1])
-        assert begun.token_count == plain.token_count + 1
 
-    def test_merges_that_are_lost(self, folder: Path, tmp_path: Path) -> None:
-        model = json.loads((folder / "tokenizer.json").read_text())["model"]
-        first = {"tokenizer.ggml.merges": [" ".join(pair) for pair in model["merges"][:2]]}
-        file = write_gguf(folder, tmp_path / "tiny.gguf", changes=first)
-        assert "it cuts the token 'Ġ" in refusal(file)
+def test_merges_that_are_lost(folder: Path, tmp_path: Path) -> None:
+    model = json.loads((folder / "tokenizer.json").read_text())["model"]
+    first = {"tokenizer.ggml.merges": [" ".join(pair) for pair in model["merges"][:2]]}
+    file = write_gguf(folder, tmp_path / "tiny.gguf", changes=first)
+    assert "it cuts the token 'Ġ" in refusal(file)
 
-    def test_a_pre_tokenizer_that_is_lost(self, tmp_path: Path) -> None:
-        """Merges learnt across words, as some families do, are out of GPT-2's reach."""
-        from tokenizers import pre_tokenizers, trainers
 
-        tokenizer = byte_level_tokenizer()
-        tokenizer.backend_tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(
-            add_prefix_space=False, use_regex=False
-        )
-        trainer = trainers.BpeTrainer(
-            vocab_size=330,
-            special_tokens=["<|endoftext|>"],
-            initial_alphabet=pre_tokenizers.ByteLevel.alphabet(),
-            show_progress=False,
-        )
-        tokenizer.backend_tokenizer.train_from_iterator(room_sentences(), trainer)
-        folder = save_model("llama", tmp_path / "llama", tokenizer)
-        said = refusal(write_gguf(folder, tmp_path / "tiny.gguf"))
-        assert "its pre-tokenizer is not the file's" in said
+def test_a_pre_tokenizer_that_is_lost(tmp_path: Path) -> None:
+    """Merges learnt across words, as some families do, are out of GPT-2's reach."""
+    from tokenizers import pre_tokenizers, trainers
 
-    def test_no_tokens(self, folder: Path, tmp_path: Path) -> None:
-        file = write_gguf(folder, tmp_path / "tiny.gguf", changes={TOKENS: None})
-        assert "tokenizer" in refusal(file)
+    tokenizer = byte_level_tokenizer()
+    tokenizer.backend_tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(
+        add_prefix_space=False, use_regex=False
+    )
+    trainer = trainers.BpeTrainer(
+        vocab_size=330,
+        special_tokens=["<|endoftext|>"],
+        initial_alphabet=pre_tokenizers.ByteLevel.alphabet(),
+        show_progress=False,
+    )
+    tokenizer.backend_tokenizer.train_from_iterator(room_sentences(), trainer)
+    folder = save_model("llama", tmp_path / "llama", tokenizer)
+    said = refusal(write_gguf(folder, tmp_path / "tiny.gguf"))
+    assert "its pre-tokenizer is not the file's" in said
 
-    @pytest.fixture
-    def made(self, file: Path) -> tuple[Any, Vocabulary]:
-        vocabulary = Vocabulary.of(read_header(file, (TOKENS, TOKEN_TYPES)).metadata)
-        return byte_level_tokenizer(), vocabulary
 
-    def test_agrees(self, made: tuple[Any, Vocabulary]) -> None:
-        assert disagreement(*made) is None
+def test_a_file_without_tokens(folder: Path, tmp_path: Path) -> None:
+    file = write_gguf(folder, tmp_path / "tiny.gguf", changes={TOKENS: None})
+    assert "tokenizer" in refusal(file)
 
-    def test_a_bos_against_what_the_file_says(self, made: tuple[Any, Vocabulary]) -> None:
-        from tokenizers import processors
 
-        tokenizer, vocabulary = made
-        tokenizer.bos_token = "<|endoftext|>"
-        tokenizer.backend_tokenizer.post_processor = processors.TemplateProcessing(
-            single="<|endoftext|> $A", special_tokens=[("<|endoftext|>", 0)]
-        )
-        assert "puts a BOS first" in str(disagreement(tokenizer, vocabulary))
-        asked = Vocabulary(
-            vocabulary.tokens,
-            vocabulary.types,
-            {**vocabulary.metadata, "tokenizer.ggml.add_bos_token": True},
-        )
-        assert disagreement(tokenizer, asked) is None
-        assert "puts no BOS first" in str(disagreement(byte_level_tokenizer(), asked))
+@pytest.fixture
+def tokenizer_and_file(file: Path) -> tuple[Any, Vocabulary]:
+    vocabulary = Vocabulary.of(read_header(file, (TOKENS, TOKEN_TYPES)).metadata)
+    return byte_level_tokenizer(), vocabulary
 
-    def test_a_space_that_is_added_or_lost(self, made: tuple[Any, Vocabulary]) -> None:
-        from tokenizers import normalizers
 
-        tokenizer, vocabulary = made
-        tokenizer.backend_tokenizer.normalizer = normalizers.Prepend(" ")
-        assert "its tokens say ' A room" in str(disagreement(tokenizer, vocabulary))
-        tokenizer.backend_tokenizer.normalizer = normalizers.Replace(" ", "")
-        assert "its tokens say 'Aroom" in str(disagreement(tokenizer, vocabulary))
+def test_a_tokenizer_agrees_with_its_own_file(tokenizer_and_file: tuple[Any, Vocabulary]) -> None:
+    assert disagreement(*tokenizer_and_file) is None
 
-    def test_text_that_becomes_unknown(self, made: tuple[Any, Vocabulary]) -> None:
-        tokenizer, vocabulary = made
-        types = [
-            2 if token == "." else kind
-            for token, kind in zip(vocabulary.tokens, vocabulary.types, strict=True)
-        ]
-        unknown = Vocabulary(vocabulary.tokens, types, vocabulary.metadata)
-        assert "unknown token" in str(disagreement(tokenizer, unknown))
+
+def test_a_bos_against_what_the_file_says(tokenizer_and_file: tuple[Any, Vocabulary]) -> None:
+    from tokenizers import processors
+
+    tokenizer, vocabulary = tokenizer_and_file
+    tokenizer.bos_token = "<|endoftext|>"
+    tokenizer.backend_tokenizer.post_processor = processors.TemplateProcessing(
+        single="<|endoftext|> $A", special_tokens=[("<|endoftext|>", 0)]
+    )
+    assert "puts a BOS first" in str(disagreement(tokenizer, vocabulary))
+    asked = Vocabulary(
+        vocabulary.tokens,
+        vocabulary.types,
+        {**vocabulary.metadata, "tokenizer.ggml.add_bos_token": True},
+    )
+    assert disagreement(tokenizer, asked) is None
+    assert "puts no BOS first" in str(disagreement(byte_level_tokenizer(), asked))
+
+
+def test_a_space_that_is_added_or_lost(tokenizer_and_file: tuple[Any, Vocabulary]) -> None:
+    from tokenizers import normalizers
+
+    tokenizer, vocabulary = tokenizer_and_file
+    tokenizer.backend_tokenizer.normalizer = normalizers.Prepend(" ")
+    assert "its tokens say ' A room" in str(disagreement(tokenizer, vocabulary))
+    tokenizer.backend_tokenizer.normalizer = normalizers.Replace(" ", "")
+    assert "its tokens say 'Aroom" in str(disagreement(tokenizer, vocabulary))
+
+
+def test_text_that_becomes_unknown(tokenizer_and_file: tuple[Any, Vocabulary]) -> None:
+    tokenizer, vocabulary = tokenizer_and_file
+    types = [
+        2 if token == "." else kind
+        for token, kind in zip(vocabulary.tokens, vocabulary.types, strict=True)
+    ]
+    unknown = Vocabulary(vocabulary.tokens, types, vocabulary.metadata)
+    assert "unknown token" in str(disagreement(tokenizer, unknown))
+
+
+def sentence_piece_changes() -> dict[str, Any]:
+    """A sentencepiece vocabulary with scores and bytes, without merges, like Llama 2's."""
+    from tokenizers import Tokenizer, models, pre_tokenizers, trainers
+
+    bare = Tokenizer(models.BPE())
+    bare.pre_tokenizer = pre_tokenizers.Metaspace()
+    alphabet = [chr(letter) for letter in range(33, 127)]
+    trainer = trainers.BpeTrainer(
+        vocab_size=200, initial_alphabet=[*alphabet, "▁"], show_progress=False
+    )
+    bare.train_from_iterator([*SENTENCES, *PROBES], trainer)
+    pieces = sorted(bare.get_vocab(), key=bare.get_vocab().__getitem__)
+    tokens = ["<unk>", "<s>", "</s>", *(f"<0x{byte:02X}>" for byte in range(256)), *pieces]
+    return {
+        "tokenizer.ggml.model": "llama",
+        "tokenizer.ggml.pre": "default",
+        TOKENS: tokens,
+        TOKEN_TYPES: [2, 3, 3] + [6] * 256 + [1] * len(pieces),
+        "tokenizer.ggml.scores": [0.0] * 259 + [-float(rank) for rank in range(len(pieces))],
+        "tokenizer.ggml.merges": None,
+        "tokenizer.ggml.bos_token_id": 1,
+        "tokenizer.ggml.eos_token_id": 2,
+        "tokenizer.ggml.unknown_token_id": 0,
+        "tokenizer.ggml.add_bos_token": None,
+    }
+
+
+@pytest.mark.parametrize("says", [None, True])
+def test_a_sentencepiece_vocabulary(says: bool | None, tmp_path: Path) -> None:
+    """Without a word of it in the file, a space and a BOS come first, as for llama.cpp."""
+    changes = sentence_piece_changes()
+    if says is not None:
+        for setting in ("add_space_prefix", "add_bos_token"):
+            changes[f"tokenizer.ggml.{setting}"] = says
+    folder = save_model("llama", tmp_path / "llama", vocabulary=len(changes[TOKENS]))
+    file = write_gguf(folder, tmp_path / "tiny.gguf", changes=changes)
+    (score,) = load_scorer(str(file)).score(["a a"])
+    assert score.token_count == 2
+
+
+def test_a_space_that_the_file_wants_left_out(tmp_path: Path) -> None:
+    changes = sentence_piece_changes() | {"tokenizer.ggml.add_space_prefix": False}
+    folder = save_model("llama", tmp_path / "llama", vocabulary=len(changes[TOKENS]))
+    said = refusal(write_gguf(folder, tmp_path / "tiny.gguf", changes=changes))
+    assert "its tokens say ' A room" in said
