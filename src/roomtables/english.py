@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -154,11 +155,10 @@ def _types_unchecked() -> Iterator[None]:
     0.2. What is asked here are strings that are not empty, which is what they check.
     """
     try:
-        import typeguard
+        package: Any = import_module("typeguard")  # inflect's dependency, none of roomtables'
     except ImportError:  # inflect may do without, one day
         yield
         return
-    package: Any = typeguard
     checked = package.typechecked
     package.typechecked = lambda function: function
     try:

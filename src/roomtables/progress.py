@@ -11,8 +11,10 @@ _FORMAT = (
 )
 
 
-def progress_bar(what: str, total: int | None, *, leave: bool = True) -> Any:
-    """A tqdm bar for ``total`` items; ``leave``: it stays when it is closed.
+def progress_bar(what: str, total: int | None, *, shown: bool = True, leave: bool = True) -> Any:
+    """A tqdm bar for ``total`` items; unless ``shown`` it does nothing.
+
+    ``leave``: it stays when it is closed.
 
     Raises
     ------
@@ -21,4 +23,6 @@ def progress_bar(what: str, total: int | None, *, leave: bool = True) -> Any:
     """
     from tqdm import tqdm
 
-    return tqdm(total=total, desc=what, bar_format=_FORMAT, mininterval=0.5, leave=leave)
+    return tqdm(
+        total=total, desc=what, bar_format=_FORMAT, mininterval=0.5, leave=leave, disable=not shown
+    )

@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -37,6 +40,34 @@ def test_plan_of_the_embedded_model_writes_nothing(shell, tmp_path):
     assert found["sentences_to_score"] == sum(stage["sentences"] for stage in found["stages"])
     assert "to score:" in shell("plan", "--tables", tmp_path / "t", "-k", 1)
     assert not (tmp_path / "t").exists()
+
+
+MEASURED = """
+import json, resource, sys
+from roomtables.cli import main
+main(json.loads(sys.argv[1]), standalone_mode=False)
+used = resource.getrusage(resource.RUSAGE_SELF)
+heavy = sorted({"torch", "transformers"} & sys.modules.keys())
+print(json.dumps([used.ru_maxrss / 1024, heavy]), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("labels", ["nyuclass", "many"])
+def test_a_plan_by_formula_costs_little_whatever_the_label_space(tmp_path, labels):
+    """No torch is imported where no GPU can be, and no table is made."""
+    folder = tmp_path / "many"
+    folder.mkdir()
+    (folder / "objects.csv").write_text("object\n" + "".join(f"gadget {n}\n" for n in range(1200)))
+    (folder / "rooms.csv").write_text("room\nkitchen\nbathroom\n")
+    made = str(folder) if labels == folder.name else labels
+    args = ["plan", "--tables", str(tmp_path / "t"), "--labels", made, "--combinations", "all"]
+    command = [sys.executable, "-c", MEASURED, json.dumps(args)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    peak, heavy = json.loads(ended.stderr)
+    assert "to score: at most" in ended.stdout
+    assert peak < 300  # MB
+    if not any(Path("/dev").glob("nvidia*")):
+        assert heavy == []
 
 
 def test_status_tells_old_from_new(shell, tables, space):

@@ -160,8 +160,8 @@ def _plan_text(plan: Plan) -> str:
         f"model: {plan.scorer_id or 'none is asked'}\n\n"
         f"{render(rows, 'table')}\n"
         f"to score: {most}{plan.sentences_to_score:,} sentences{_cost(plan)}\n"
-        f"held now: {plan.held:,} of {cover.combinations:,} combinations; "
-        f"after the build: {partly}{cover.held:,}\n"
+        f"combinations held now: {plan.held:,}; "
+        f"after the build: {partly}{cover.held:,} of {cover.combinations:,}\n"
         f"{_rest(cover.rest_sentences, cover.rest_seconds)}"
     )
 

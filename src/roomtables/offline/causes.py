@@ -70,21 +70,19 @@ class Comparison:
         return not changed & (DECIDES[source] | _SENTENCES)
 
     def causes(self, stage: str) -> dict[str, str]:
-        """By what a stage reads: how it changed. What has the same cause is named once.
+        """How what a stage reads changed, by the name under which it reads it.
 
-        Stages before it are passed over: what they read is what changed.
+        Stages before it are passed over: what they read is what changed. Empty is what follows from
+        another change.
         """
         was, now = self.before.stages.get(stage), self.after.stages[stage]
         if was is None:
             return {stage: f"stage {stage} is new"}
-        found = {
+        return {
             read: self._said(read, was, now)
             for read in [*now, *(read for read in was if read not in now)]
             if self._differs(stage, read, was, now)
         }
-        return {read: said for read, said in found.items() if said} or dict.fromkeys(
-            found, "what it reads changed"
-        )
 
     def _differs(
         self, stage: str, read: str, was: Mapping[str, Any], now: Mapping[str, Any]
@@ -142,7 +140,7 @@ class Comparison:
 
     def _of_model(self, before: str | None, after: str | None) -> str:
         if before is None or after is None:
-            return ""  # imported scores or no combinations: named already
+            return ""  # scores that stand in for it, or combinations: named where they are read
         names = [scorer_id.partition("@")[0] for scorer_id in (before, after)]
         if names[0] != names[1]:
             return f"model {names[0]} → {names[1]}"
@@ -166,7 +164,7 @@ class Comparison:
 
 def joined(causes: Iterable[str]) -> str:
     """Causes as one text, each once; those beyond a few are counted."""
-    distinct = list(dict.fromkeys(causes))
+    distinct = [cause for cause in dict.fromkeys(causes) if cause]
     more = len(distinct) - _NAMED
     return "; ".join([*distinct[:_NAMED], *([f"{more} more"] if more > 0 else [])])
 

@@ -58,7 +58,7 @@ def by_formula(
     ``kept`` is the published version where the cache holds all its scores: of those sources whose
     sentences cannot have changed its combinations count as held.
     """
-    labels, config = inputs.labels, inputs.config
+    labels = inputs.labels
     state = {found.stage: found.state for found in states}
     sentences = dict.fromkeys(ASKING, 0)
     if inputs.scores is None and state[SENTENCE_SCORES] != CACHED:
@@ -72,8 +72,7 @@ def by_formula(
             new += _new_combinations(inputs, source, kept.manifest if kept and keeps else None)
         sentences[QUERY_SCORES] = new * len(labels.predicted_rooms)
     combinations = sum(_combinations(inputs, source, 1) for source in sources)
-    certain = not any(sentences.values())
-    return Counted(sentences, certain or config.combinations == NONE, combinations)
+    return Counted(sentences, not any(sentences.values()), combinations)
 
 
 def _combinations(inputs: Inputs, source: str, least: int) -> int:

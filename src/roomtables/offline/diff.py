@@ -44,7 +44,9 @@ select source, object,
 from ({before}) as before full join ({after}) as after using (source, object)
 where coalesce(abs(entropy_change) > {tolerance}, true)
     or first_room_before is distinct from first_room_after
-order by first_room_before is not distinct from first_room_after,
+order by count(entropy_before) over (partition by source) = 0
+    or count(entropy_after) over (partition by source) = 0,
+    first_room_before is not distinct from first_room_after,
     abs(entropy_change) desc nulls first, source, object
 """
 # One row per source and combination: its best rooms.
@@ -87,10 +89,10 @@ class Diff:
     ----------
     causes : what changed in what the tables are made from, as a person would say it
     settings : name → (before, after), where they differ
-    groups : per source and cause, how many objects moved, how many of them have another first room,
-        and the largest change of an entropy (nats)
+    groups : per source and cause, how many objects moved, came or went; how many of those that
+        stayed have another first room, and the largest change of their entropies (nats)
     objects : rows of objects that moved, each with its cause; those with another first room first,
-        then by how much their entropy (nats) changed
+        then by how much their entropy (nats) changed; a source that came or went last
     combinations : per source, how many combinations are held in both, added, removed, and have
         another best room
     """
@@ -141,7 +143,7 @@ def compare(before: Version, after: Version) -> Diff:
         after.manifest.labels,
         before.name,
         after.name,
-        tuple(dict.fromkeys(cause for _, cause in causes)),
+        tuple(dict.fromkeys(cause for _, cause in causes if cause)),
         _changed_settings(before.manifest, after.manifest),
         _groups(moved),
         moved,
@@ -185,9 +187,10 @@ def _groups(moved: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
             | {"largest_entropy_change": 0.0},
         )
         group["objects"] += 1
-        group["other_first_room"] += row["first_room_before"] != row["first_room_after"]
-        change = abs(row["entropy_change"] or 0.0)
-        group["largest_entropy_change"] = max(group["largest_entropy_change"], change)
+        if row["entropy_change"] is not None:
+            group["other_first_room"] += row["first_room_before"] != row["first_room_after"]
+            change = abs(row["entropy_change"])
+            group["largest_entropy_change"] = max(group["largest_entropy_change"], change)
     return [found[key] for key in sorted(found)]
 
 

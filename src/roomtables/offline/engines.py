@@ -16,7 +16,7 @@ import re
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -202,14 +202,13 @@ def _collect(work: Work, rows: Iterable[Mapping[str, Any]], workers: int) -> Sco
     """
     done = Scored(workers=workers)
     started = time.monotonic()
-    with progress_bar(work.what, work.total) if work.progress else nullcontext() as bar:
+    with progress_bar(work.what, work.total, shown=work.progress, leave=False) as bar:
         for row in rows:
             work.cache.adopt()
             if row["error"]:
                 raise ModelError(row["error"])
             done.sentences += row["sentences"]
             done.tokens += row["tokens"]
-            if bar is not None:
-                bar.update(row["sentences"])
+            bar.update(row["sentences"])
     done.seconds = time.monotonic() - started
     return done

@@ -93,7 +93,8 @@ def plan(
     space = SpaceFolder(root, inputs.labels.name)
     published = space.published()
     made = made_from(stages, inputs, scorer_id)
-    states = decide(made, published, cache, config.full_refresh, why_not_built(space))
+    absent = why_not_built(space) if published is None else ""
+    states = decide(made, published, cache, config.full_refresh, absent)
     if published and all(stage.state == CACHED for stage in states):
         counted = Counted({}, True, sum(published.manifest.combinations.values()))
     else:

@@ -98,7 +98,7 @@ def score_locally(work: Work) -> Scored:
     scorer = work.model.load(work.progress)
     check_identity(scorer, work.cache)
     shown = work.progress and not work.model.shows_progress
-    bar = progress_bar(work.what, work.total) if shown else None
+    bar = progress_bar(work.what, work.total, shown=shown)
     done = Scored()
     kept: list[str] = []
     scores: list[SentenceScore] = []
@@ -108,15 +108,13 @@ def score_locally(work: Work) -> Scored:
             kept.append(sentence)
             scores.append(score)
             done.tokens += score.token_count
-            if bar is not None:
-                bar.update()
+            bar.update()
             if len(kept) >= PART_SENTENCES or time.monotonic() - part_started > PART_SECONDS:
                 work.cache.append(kept, scores)
                 done.sentences += len(kept)
                 kept, scores, part_started = [], [], time.monotonic()
     finally:  # an interrupted build keeps what it has
-        if bar is not None:
-            bar.close()
+        bar.close()
         if kept:
             work.cache.append(kept, scores)
             done.sentences += len(kept)

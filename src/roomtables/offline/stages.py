@@ -152,7 +152,7 @@ def decide(
         inherited = [cause for read in reads for cause in causes.get(read, ())]
         causes[stage] = [*compared.causes(stage).values(), *inherited]
         if causes[stage]:
-            found.append(StageState(stage, STALE, joined(causes[stage])))
+            found.append(StageState(stage, STALE, joined(causes[stage]) or "other inputs"))
         elif stage in damaged or (stage in ASKING and not kept):
             found.append(StageState(stage, MISSING, damaged.get(stage, SCORE_PART_MISSING)))
         else:

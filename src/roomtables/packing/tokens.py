@@ -109,8 +109,8 @@ class WordTokenizer:
         return TokenLists(flat, np.add.reduceat(lengths, first))
 
     def _ids(self, word: str) -> Sequence[int]:
-        """A word's tokens: those behind a space, or, of a sentence's first word, with what stands
-        before every sentence. None where it is no word, or holds a special token."""
+        """A word's tokens; a sentence's first word, which has no space before it, has the special
+        tokens before the sentence, too. No tokens: it cannot be tokenised on its own."""
         found = self._known.get(word)
         if found is None:
             bare = word.removeprefix(" ")

@@ -31,7 +31,7 @@ def test_a_build_with_the_embedded_model_needs_no_torch(tmp_path, labels):
         *duckdb.sql(f"select sentence, log_prob from ({cache.select()})").fetchall(), strict=True
     )
     assert len(sentences) == int(done.stdout)
-    bars = re.findall(r"scoring: 100%\S+ (\d+)/\1 ", done.stderr)
+    bars = re.findall(r"sentences: 100 %\|\S+ (\d+)/\1 ", done.stderr)
     assert sum(map(int, bars)) == len(sentences)
     expected = [score.log_prob for score in load_scorer().score(sentences)]
     assert found == pytest.approx(expected, abs=1e-4)

@@ -404,6 +404,17 @@ def test_too_many_combinations_are_counted_by_formula_and_that_is_said(site, cap
     assert "14 combinations are too many" in caplog.text
 
 
+def test_the_formula_does_not_claim_what_the_cache_may_hold(site):
+    site.options["combinations"] = "none"
+    for site.model in ("hash@1", "hash@2"):
+        site.build()
+    site.model = "hash@1"
+    bound, counted = site.plan(), site.plan(exact=True)
+    assert (bound.exact, bound.sentences_to_score) == (False, 4 * 4)
+    assert (counted.exact, counted.sentences_to_score) == (True, 0)
+    assert site.build().sentences_scored == 0
+
+
 def test_misses_without_any_publish_nothing_whatever_was_asked_before(site):
     first = site.build()
     site.options["combinations"] = "misses"
