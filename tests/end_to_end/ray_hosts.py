@@ -1,4 +1,4 @@
-"""The cluster build of docs/scale.md on three hosts of one machine, one of which dies in the middle.
+"""The cluster build of docs/scale.md, on three hosts of one machine; one dies in the middle.
 
     python tests/end_to_end/ray_hosts.py             # needs root: hosts are Linux namespaces
 
@@ -18,6 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from network_hosts import Host, hosts, why_not
 from roomtables.storage.versions import SpaceFolder
@@ -155,5 +158,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[1]))
     sys.exit(main())

@@ -1,0 +1,140 @@
+"""A shell as a reader of the pages has it: in a checkout, after `make demo`."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from end_to_end.preloaded import CLIENT
+
+ROOT = Path(__file__).parents[2]
+DEMO = "make demo"
+# What a fresh checkout does not have, or has for itself.
+_OWN = {".git", ".venv", "tables", "build", "dist"}
+_ENDED = "--- page: the command ended with"
+_LIMIT_SECONDS = 900.0
+
+
+class Shell:
+    """One bash, in one folder: variables, functions and `cd` last from command to command."""
+
+    def __init__(self, folder: Path, environment: dict[str, str], demo: str = "") -> None:
+        self.folder, self.demo = folder, demo
+        self._bash = subprocess.Popen(
+            ["bash", "--noprofile", "--norc"], cwd=folder, env=environment, bufsize=0,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+
+    def run(self, command: str) -> tuple[str, int]:
+        """What a command prints, both streams as they come, and its exit code."""
+        if command == DEMO and self.demo:
+            return self.demo, 0  # it was run in the folder that this one is a copy of
+        assert self._bash.stdin is not None
+        assert self._bash.stdout is not None
+        script = f"{{ {command}\n}} </dev/null; printf '\\n{_ENDED} %s\\n' $?\n"
+        watch = threading.Timer(_LIMIT_SECONDS, self._bash.kill)
+        watch.start()
+        try:
+            self._bash.stdin.write(script.encode())
+            said = b""
+            while f"\n{_ENDED} ".encode() not in said or not said.endswith(b"\n"):
+                chunk = os.read(self._bash.stdout.fileno(), 65536)
+                if not chunk:
+                    raise RuntimeError(f"the shell ended, or took too long: {command}: {said!r}")
+                said += chunk
+        finally:
+            watch.cancel()
+        text, _, code = said.decode().rpartition(f"\n{_ENDED} ")
+        return text, int(code)
+
+    def close(self) -> None:
+        self._bash.kill()
+        self._bash.communicate()
+
+
+class Pages:
+    """Makes shells; `make demo` runs once, and every page goes on in a copy of what it left."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._after_demo = folder / "after-demo"
+        _checkout(self._after_demo, self._client())
+        shell = Shell(self._after_demo, _environment())
+        self.demo, code = shell.run(DEMO)
+        shell.close()
+        if code:
+            raise RuntimeError(f"`{DEMO}` exited {code}: {self.demo}")
+
+    @contextmanager
+    def shell(self, name: str, activated: bool) -> Iterator[Shell]:
+        """A shell in a fresh checkout after `make demo`; README.md itself begins inactivated."""
+        folder = self.folder / name
+        shutil.copytree(self._after_demo, folder, symlinks=True)
+        shell = Shell(folder, _environment(), self.demo)
+        try:
+            if activated:
+                shell.run("source .venv/bin/activate")
+            yield shell
+        finally:
+            shell.close()
+            shutil.rmtree(folder)
+
+    def _client(self) -> str:
+        return CLIENT.format(python=sys.executable, path=str(self.folder / "server"))
+
+
+@contextmanager
+def pages(folder: Path) -> Iterator[Pages]:
+    """What a test of pages needs: the server of `roomtables` commands, and the demo's tables."""
+    command = [sys.executable, "-m", "end_to_end.preloaded", str(folder / "server")]
+    path = os.pathsep.join([str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
+    server = subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": path}
+    )
+    try:
+        assert server.stdout is not None
+        if server.stdout.readline() != "ready\n":
+            raise RuntimeError("the server of `roomtables` commands does not start")
+        yield Pages(folder)
+    finally:
+        server.kill()
+        server.communicate()
+
+
+def _checkout(folder: Path, client: str) -> None:
+    """A checkout, by links, with an environment in which nothing is left to install."""
+    folder.mkdir()
+    for entry in ROOT.iterdir():
+        if entry.name not in _OWN:
+            (folder / entry.name).symlink_to(entry)
+    (folder / "tables").mkdir()
+    (folder / "tables" / "README.md").symlink_to(ROOT / "tables" / "README.md")
+    programs = folder / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    _program(programs / "python", f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    _program(programs / "roomtables", client)
+    (programs / "activate").write_text('PATH="$PWD/.venv/bin:$PATH"\n')
+    for extra in ("lm", "dev"):
+        (folder / ".venv" / f".installed-{extra}").touch()
+
+
+def _program(path: Path, text: str) -> None:
+    path.write_text(text)
+    path.chmod(0o755)
+
+
+def _environment() -> dict[str, str]:
+    """A new user's: no environment is active, and `roomtables` is not to be found."""
+    found = {key: value for key, value in os.environ.items() if key != "VIRTUAL_ENV"}
+    folders = [
+        folder
+        for folder in found["PATH"].split(os.pathsep)
+        if not (Path(folder) / "roomtables").exists()
+    ]
+    return {**found, "PATH": os.pathsep.join(folders), "COLUMNS": "80"}
