@@ -120,7 +120,7 @@ def _checkout(folder: Path, client: str) -> None:
     _program(programs / "python", f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
     _program(programs / "roomtables", client)
     (programs / "activate").write_text('PATH="$PWD/.venv/bin:$PATH"\n')
-    for extra in ("lm", "dev"):
+    for extra in ("lm,report", "dev"):
         (folder / ".venv" / f".installed-{extra}").touch()
 
 

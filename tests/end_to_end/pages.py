@@ -122,13 +122,13 @@ def data_here() -> bool:
 
 
 def run_page(
-    page: str, shell: Shell, slow: bool = False, write: bool = False
+    page: str, shell: Shell, slow: bool = False, write: bool = False, root: Path = ROOT
 ) -> list[tuple[str, str, str]]:
     """Run a page's blocks in order; returns (where and what, shown, printed) of what differs.
 
     With ``write`` the page is given what its commands print, where it shows another thing.
     """
-    text = (ROOT / page).read_text(encoding="utf-8")
+    text = (root / page).read_text(encoding="utf-8")
     sql = _SQL.search(text)
     wrong: list[tuple[str, str, str]] = []
 
@@ -142,8 +142,9 @@ def run_page(
             asked = f"{sql[1] if sql else 'roomtables sql'} {shlex.quote(block.text.strip())}"
             pairs = [(asked, "", block.output or "")]
         else:
-            (shell.folder / ".block.py").write_text(block.text, encoding="utf-8")
-            pairs = [("python .block.py", "", block.output or "")]
+            script = shell.folder / ".block.py"
+            script.write_text(block.text, encoding="utf-8")
+            pairs = [(f"python {script}", "", block.output or "")]
         outputs = [_ran(shell, block, command, shown, wrong) for command, _, shown in pairs]
         if block.kind == "console":
             inside = "".join(f"$ {c}\n{o}" for (c, _, _), o in zip(pairs, outputs, strict=True))
@@ -154,7 +155,7 @@ def run_page(
 
     written = _BLOCK.sub(anew, text)
     if write and written != text:
-        (ROOT / page).write_text(written, encoding="utf-8")
+        (root / page).write_text(written, encoding="utf-8")
     return wrong
 
 
