@@ -21,6 +21,16 @@ from roomtables.storage.versions import SpaceFolder
 from support import HashScorer
 
 
+class Forgetful(HashScorer):
+    """Keeps no list of what it was asked, which would be the largest thing in memory."""
+
+    def score(self, sentences):
+        return [self.score_of(sentence) for sentence in sentences]
+
+    def score_stream(self, sentences):
+        return map(self.score_of, sentences)
+
+
 def size(folder: Path) -> int:
     """Bytes of all files of a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
@@ -33,13 +43,13 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         tables = Path(name)
-        scorer = HashScorer()
+        scorer = Forgetful()
         started = time.monotonic()
         build(tables=tables, labels=options.labels, scorer=scorer, k=options.k, combinations="all")
         seconds = time.monotonic() - started
         version = SpaceFolder(tables, options.labels).current()
         rows = version.manifest.combinations["proxy"]
-        print(f"sentences     {len(scorer.asked):,}")
+        print(f"sentences     {version.manifest.sentences_scored:,}")
         print(f"combinations  {rows:,}")
         print(f"seconds       {seconds:.0f}")
         print(f"peak memory   {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.1f} GB")

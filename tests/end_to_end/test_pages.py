@@ -1,9 +1,12 @@
 """The pages' blocks run as written, in order, after `make demo`, and print what the pages show."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from end_to_end.page_output import as_shown, matches
-from end_to_end.page_shell import Shell, pages
+from end_to_end.page_shell import ROOT, Shell, pages
 from end_to_end.pages import PAGES, Block, blocks, data_here, faults_of, reasons, run_page
 
 RUNNING = [page for page in PAGES if any(block.runs(False, data_here()) for block in blocks(page))]
@@ -69,6 +72,14 @@ def test_a_block_that_nobody_could_check_is_a_fault(kind, text, output, word):
     (fault,) = faults_of(Block("page.md", 3, kind, text, output, ()))
     assert word in fault
     assert "page.md:3" in fault
+
+
+def test_cron_starts_what_the_timer_starts():
+    page = (ROOT / "docs" / "nightly.md").read_text()
+    (started,) = re.findall(r"^ExecStart=(.*)$", page, re.MULTILINE)
+    (line,) = re.findall(r"^30 2 \* \* \* .*$", page, re.MULTILINE)
+    assert f" {started} " in line
+    assert (ROOT / "docs" / "examples" / Path(started.split()[0]).name).is_file()
 
 
 @pytest.fixture

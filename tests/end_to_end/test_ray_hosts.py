@@ -1,0 +1,20 @@
+"""A build on three hosts, one of which dies in the middle, publishes what a local build does."""
+
+import pytest
+
+from end_to_end.ray_hosts import run
+from network_hosts import why_not
+
+
+@pytest.mark.faults
+def test_a_cluster_that_loses_a_host_builds_what_one_machine_builds(tmp_path):
+    pytest.importorskip("ray")
+    if reason := why_not():
+        pytest.skip(reason)
+    found = run(tmp_path)
+    assert found.shards_done > 0
+    assert found.same_combinations
+    assert found.rows == found.best_rooms_equal == 7_175
+    assert found.furthest < 1e-3
+    assert (found.sentences, found.sentences_twice) == (165_165, 0)
+    assert "nothing to do" in found.again or ": 0 sentences scored" in found.again
