@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import pty
+import re
+import select
 import shutil
+import struct
 import subprocess
 import sys
+import termios
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,44 +24,66 @@ DEMO = "make demo"
 # What a fresh checkout does not have, or has for itself.
 _OWN = {".git", ".venv", "tables", "build", "dist"}
 _ENDED = "--- page: the command ended with"
-_LIMIT_SECONDS = 900.0
+_LIMIT_SECONDS = 600.0
+_COLUMNS = 80
 
 
 class Shell:
-    """One bash, in one folder: variables, functions and `cd` last from command to command."""
+    """One bash at a terminal of 80 columns, in one folder: variables and `cd` last.
+
+    stderr is no terminal, so that no progress is drawn, which no two runs share.
+    """
 
     def __init__(self, folder: Path, environment: dict[str, str], demo: str = "") -> None:
         self.folder, self.demo = folder, demo
+        self._stdout, terminal = pty.openpty()
+        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 50, _COLUMNS, 0, 0))
+        self._stderr, said = os.pipe()
         self._bash = subprocess.Popen(
             ["bash", "--noprofile", "--norc"], cwd=folder, env=environment, bufsize=0,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            stdin=subprocess.PIPE, stdout=terminal, stderr=said,
         )  # fmt: skip
+        os.close(terminal)
+        os.close(said)
 
     def run(self, command: str) -> tuple[str, int]:
-        """What a command prints, both streams as they come, and its exit code."""
+        """What a command prints, on stderr, then on stdout, and its exit code."""
         if command == DEMO and self.demo:
             return self.demo, 0  # it was run in the folder that this one is a copy of
         assert self._bash.stdin is not None
-        assert self._bash.stdout is not None
-        script = f"{{ {command}\n}} </dev/null; printf '\\n{_ENDED} %s\\n' $?\n"
+        ended = f"printf -- '{_ENDED} %s\\n' $code"
+        script = f"{{ {command}\n}} </dev/null; code=$?; {ended}; {ended} >&2\n"
         watch = threading.Timer(_LIMIT_SECONDS, self._bash.kill)
         watch.start()
         try:
             self._bash.stdin.write(script.encode())
-            said = b""
-            while f"\n{_ENDED} ".encode() not in said or not said.endswith(b"\n"):
-                chunk = os.read(self._bash.stdout.fileno(), 65536)
-                if not chunk:
-                    raise RuntimeError(f"the shell ended, or took too long: {command}: {said!r}")
-                said += chunk
+            said = _until_ended({self._stderr: b"", self._stdout: b""})
         finally:
             watch.cancel()
-        text, _, code = said.decode().rpartition(f"\n{_ENDED} ")
-        return text, int(code)
+        parts = [said[file].decode().rpartition(_ENDED) for file in (self._stderr, self._stdout)]
+        text = "".join(part[0].replace("\r\n", "\n") for part in parts)
+        return text, int(parts[0][2])
 
     def close(self) -> None:
         self._bash.kill()
-        self._bash.communicate()
+        self._bash.wait()
+        os.close(self._stdout)
+        os.close(self._stderr)
+
+
+def _until_ended(said: dict[int, bytes]) -> dict[int, bytes]:
+    """Read files to where the shell says that the command has ended."""
+    end = re.compile(_ENDED.encode() + rb" \d+\r?\n$")
+    while waiting := [file for file, text in said.items() if not end.search(text)]:
+        for file in select.select(waiting, [], [])[0]:
+            try:
+                chunk = os.read(file, 65_536)
+            except OSError:  # EIO: nobody has the terminal open
+                chunk = b""
+            if not chunk:
+                raise RuntimeError(f"the shell ended, or a command took too long: {said}")
+            said[file] += chunk
+    return said
 
 
 class Pages:
@@ -131,10 +159,12 @@ def _program(path: Path, text: str) -> None:
 
 def _environment() -> dict[str, str]:
     """A new user's: no environment is active, and `roomtables` is not to be found."""
-    found = {key: value for key, value in os.environ.items() if key != "VIRTUAL_ENV"}
+    found = {
+        key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "COLUMNS")
+    }
     folders = [
         folder
         for folder in found["PATH"].split(os.pathsep)
         if not (Path(folder) / "roomtables").exists()
     ]
-    return {**found, "PATH": os.pathsep.join(folders), "COLUMNS": "80"}
+    return {**found, "PATH": os.pathsep.join(folders)}

@@ -110,7 +110,7 @@ def test_what_a_page_shows_wrongly_is_named_and_written_anew(page):
         ("page.md:1: `echo one`", "two\n"),
         ("page.md:1: `echo three; echo four >&2`", ""),
     ]
-    assert written == "```console\n$ echo one\none\n$ echo three; echo four >&2\nthree\nfour\n```\n"
+    assert written == "```console\n$ echo one\none\n$ echo three; echo four >&2\nfour\nthree\n```\n"
 
 
 def test_queries_are_asked_by_the_command_that_the_page_names(page):
