@@ -16,8 +16,29 @@ _NUMBER = re.compile(r"(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?")
 _REST = "…"
 
 
-def matches(shown: str, printed: str) -> bool:
-    """Whether a page shows what was printed; a line `…` of the page stands for any lines."""
+def matches(shown: str, printed: str, stderr: str = "") -> bool:
+    """Whether a page shows what was printed; a line `…` of the page stands for any lines.
+
+    Lines of ``stderr`` may stand anywhere: how two streams mix is another thing in every run.
+    """
+    if _in_order(shown, printed):
+        return True
+    apart = [_without(text, stderr) for text in (shown, printed)]
+    return apart[0] is not None and apart[1] is not None and _in_order(apart[0], apart[1])
+
+
+def _without(text: str, stderr: str) -> str | None:
+    """A text without the lines of another, each once; None where it has not all of them."""
+    lines = text.splitlines(keepends=True)
+    for said in stderr.splitlines():
+        found = [line for line in lines if _same(line, said)]
+        if not found:
+            return None
+        lines.remove(found[0])
+    return "".join(lines)
+
+
+def _in_order(shown: str, printed: str) -> bool:
     before, rest, after = shown.partition(f"{_REST}\n")
     lines = printed.splitlines()
     if not rest:

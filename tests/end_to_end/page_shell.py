@@ -16,6 +16,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from end_to_end.preloaded import CLIENT
 
@@ -28,13 +29,21 @@ _LIMIT_SECONDS = 600.0
 _COLUMNS = 80
 
 
+class Ran(NamedTuple):
+    """What a command printed, as it came; of that, what was on stderr; and its exit code."""
+
+    printed: str
+    stderr: str
+    code: int
+
+
 class Shell:
     """One bash at a terminal of 80 columns, in one folder: variables and `cd` last.
 
     stderr is no terminal, so that no progress is drawn, which no two runs share.
     """
 
-    def __init__(self, folder: Path, environment: dict[str, str], demo: str = "") -> None:
+    def __init__(self, folder: Path, environment: dict[str, str], demo: Ran | None = None) -> None:
         self.folder, self.demo = folder, demo
         self._stdout, terminal = pty.openpty()
         fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 50, _COLUMNS, 0, 0))
@@ -46,10 +55,10 @@ class Shell:
         os.close(terminal)
         os.close(said)
 
-    def run(self, command: str) -> tuple[str, int]:
-        """What a command prints, on stderr, then on stdout, and its exit code."""
-        if command == DEMO and self.demo:
-            return self.demo, 0  # it was run in the folder that this one is a copy of
+    def run(self, command: str) -> Ran:
+        """Run a command to its end."""
+        if command == DEMO and self.demo is not None:
+            return self.demo  # it was run in the folder that this one is a copy of
         assert self._bash.stdin is not None
         ended = f"printf -- '{_ENDED} %s\\n' $code"
         script = f"{{ {command}\n}} </dev/null; code=$?; {ended}; {ended} >&2\n"
@@ -57,33 +66,38 @@ class Shell:
         watch.start()
         try:
             self._bash.stdin.write(script.encode())
-            said = _until_ended({self._stderr: b"", self._stdout: b""})
+            return self._read()
         finally:
             watch.cancel()
-        parts = [said[file].decode().rpartition(_ENDED) for file in (self._stderr, self._stdout)]
-        text = "".join(part[0].replace("\r\n", "\n") for part in parts)
-        return text, int(parts[0][2])
+
+    def _read(self) -> Ran:
+        """Read both files to where the shell says that the command has ended."""
+        end = re.compile(rb"%s (\d+)\r?\n$" % _ENDED.encode())
+        said = {self._stderr: b"", self._stdout: b""}
+        printed, code = b"", 0
+        while waiting := [file for file, text in said.items() if not end.search(text)]:
+            ready = select.select(waiting, [], [])[0]
+            for file in sorted(ready, key=[self._stderr, self._stdout].index):
+                try:
+                    chunk = os.read(file, 65_536)
+                except OSError:  # EIO: nobody has the terminal open
+                    chunk = b""
+                if not chunk:
+                    raise RuntimeError(f"the shell ended, or a command took too long: {said}")
+                said[file] += chunk
+                printed += chunk
+                if found := end.search(said[file]):
+                    code = int(found[1])
+        plain = re.compile(rf"{_ENDED} \d+\n")
+        texts = (text.decode().replace("\r\n", "\n") for text in (printed, said[self._stderr]))
+        whole, stderr = (plain.sub("", text) for text in texts)
+        return Ran(whole, stderr, code)
 
     def close(self) -> None:
         self._bash.kill()
         self._bash.wait()
         os.close(self._stdout)
         os.close(self._stderr)
-
-
-def _until_ended(said: dict[int, bytes]) -> dict[int, bytes]:
-    """Read files to where the shell says that the command has ended."""
-    end = re.compile(_ENDED.encode() + rb" \d+\r?\n$")
-    while waiting := [file for file, text in said.items() if not end.search(text)]:
-        for file in select.select(waiting, [], [])[0]:
-            try:
-                chunk = os.read(file, 65_536)
-            except OSError:  # EIO: nobody has the terminal open
-                chunk = b""
-            if not chunk:
-                raise RuntimeError(f"the shell ended, or a command took too long: {said}")
-            said[file] += chunk
-    return said
 
 
 class Pages:
@@ -94,10 +108,10 @@ class Pages:
         self._after_demo = folder / "after-demo"
         _checkout(self._after_demo, self._client())
         shell = Shell(self._after_demo, _environment())
-        self.demo, code = shell.run(DEMO)
+        self.demo = shell.run(DEMO)
         shell.close()
-        if code:
-            raise RuntimeError(f"`{DEMO}` exited {code}: {self.demo}")
+        if self.demo.code:
+            raise RuntimeError(f"`{DEMO}` exited {self.demo.code}: {self.demo.printed}")
 
     @contextmanager
     def shell(self, name: str, activated: bool) -> Iterator[Shell]:

@@ -163,10 +163,10 @@ def _ran(
     shell: Shell, block: Block, command: str, shown: str, wrong: list[tuple[str, str, str]]
 ) -> str:
     """What the page should show of a command: what it shows, if that is what is printed."""
-    printed, code = shell.run(command)
+    printed, stderr, code = shell.run(command)
     if code and not re.search(r"^error: |^Error: ", shown, re.MULTILINE):
         wrong.append((f"{block.where}: `{command}` exits {code}", shown, printed))
-    elif not matches(shown, printed):
+    elif not matches(shown, printed, stderr):
         wrong.append((f"{block.where}: `{command}`", shown, printed))
     else:
         return shown

@@ -104,13 +104,13 @@ def test_a_page_that_is_right_stays_as_it_is(page):
 
 
 def test_what_a_page_shows_wrongly_is_named_and_written_anew(page):
-    shown = "```console\n$ echo one\ntwo\n$ echo three; echo four >&2\n```\n"
+    shown = "```console\n$ echo one\ntwo\n$ echo four >&2\n```\n"
     wrong, written = page(shown)
     assert [(what, old) for what, old, _ in wrong] == [
         ("page.md:1: `echo one`", "two\n"),
-        ("page.md:1: `echo three; echo four >&2`", ""),
+        ("page.md:1: `echo four >&2`", ""),
     ]
-    assert written == "```console\n$ echo one\none\n$ echo three; echo four >&2\nfour\nthree\n```\n"
+    assert written == "```console\n$ echo one\none\n$ echo four >&2\nfour\n```\n"
 
 
 def test_queries_are_asked_by_the_command_that_the_page_names(page):
@@ -152,6 +152,12 @@ def test_what_no_two_runs_share_is_left_out(shown, printed):
 )
 def test_what_differs_differs(shown, printed):
     assert not matches(f"{shown}\n", f"{printed}\n")
+
+
+def test_lines_of_stderr_may_stand_anywhere_but_must_stand():
+    assert matches("a\nwarning\nb\n", "warning\na\nb\n", stderr="warning\n")
+    assert not matches("a\nb\n", "warning\na\nb\n", stderr="warning\n")
+    assert not matches("b\nwarning\na\n", "warning\na\nb\n", stderr="warning\n")
 
 
 def test_an_ellipsis_stays_where_a_page_is_written_anew():
