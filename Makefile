@@ -28,7 +28,7 @@ ROBOT_TESTS := tests/robot tests/unit/scenes $(wildcard tests/unit/test_csv_rows
   tests/unit/test_names.py tests/unit/test_rooms.py tests/unit/test_sentences.py \
   tests/unit/storage/test_misses.py)
 
-.PHONY: demo test test-robot test-on-3.10 wheel test-slow test-faults lint household-lm clean
+.PHONY: demo pictures test test-robot test-on-3.10 wheel test-slow test-faults lint household-lm clean
 
 demo: $(VENV)/.installed-$(DEMO)
 	@echo "== build: p(room | object) for household, and the combinations that the example needs"
@@ -83,6 +83,15 @@ lint: $(VENV)/.installed-dev
 # Trains a model as the embedded one was: up to an hour on a CPU. See pipeline/household_lm/.
 household-lm: $(VENV)/.installed-dev
 	$(BIN)/python -m pipeline.household_lm.train
+
+# The README's pictures, drawn anew from what `make demo` made; a browser takes the second one.
+BROWSER ?= chromium
+pictures: demo
+	$(BIN)/roomtables show src/roomtables/examples/apartment.json --offline -o docs/apartment.svg
+	$(BIN)/roomtables report $(EXAMPLE) --offline -o $(VENV)/report.html
+	echo '<style>#about { display: none }</style>' >>$(VENV)/report.html
+	$(BROWSER) --headless --no-sandbox --hide-scrollbars --window-size=1180,880 \
+	  --screenshot=docs/report.png "file://$(CURDIR)/$(VENV)/report.html"
 
 clean:
 	rm -rf $(VENV) build dist

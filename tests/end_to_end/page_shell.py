@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import pty
 import re
@@ -101,17 +102,28 @@ class Shell:
 
 
 class Pages:
-    """Makes shells; `make demo` runs once, and every page goes on in a copy of what it left."""
+    """Makes shells; `make demo` runs once, and every page goes on in a copy of what it left.
+
+    A folder that was used before has that already, and what it printed.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._after_demo = folder / "after-demo"
+        record = folder / "demo.json"
+        if not record.exists():
+            shutil.rmtree(self._after_demo, ignore_errors=True)
+            record.write_text(json.dumps(self._run_demo()))
+        self.demo = Ran(*json.loads(record.read_text()))
+
+    def _run_demo(self) -> Ran:
         _checkout(self._after_demo, self._client())
         shell = Shell(self._after_demo, _environment())
-        self.demo = shell.run(DEMO)
+        ran = shell.run(DEMO)
         shell.close()
-        if self.demo.code:
-            raise RuntimeError(f"`{DEMO}` exited {self.demo.code}: {self.demo.printed}")
+        if ran.code:
+            raise RuntimeError(f"`{DEMO}` exited {ran.code}: {ran.printed}")
+        return ran
 
     @contextmanager
     def shell(self, name: str, activated: bool) -> Iterator[Shell]:
@@ -134,6 +146,7 @@ class Pages:
 @contextmanager
 def pages(folder: Path) -> Iterator[Pages]:
     """What a test of pages needs: the server of `roomtables` commands, and the demo's tables."""
+    (folder / "server").unlink(missing_ok=True)
     command = [sys.executable, "-m", "end_to_end.preloaded", str(folder / "server")]
     path = os.pathsep.join([str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")])
     server = subprocess.Popen(

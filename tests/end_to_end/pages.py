@@ -173,10 +173,12 @@ def _ran(
     return as_shown(printed, shown)
 
 
-def _run_all(names: list[str], slow: bool, write: bool, say: Callable[[str], None]) -> int:
+def _run_all(
+    names: list[str], folder: Path, slow: bool, write: bool, say: Callable[[str], None]
+) -> int:
     """Run pages; returns how many commands printed another thing than their page shows."""
     count = 0
-    with tempfile.TemporaryDirectory() as folder, pages(Path(folder)) as made:
+    with pages(folder) as made:
         for page in names:
             with made.shell(page.replace("/", "-"), page != "README.md") as shell:
                 wrong = run_page(page, shell, slow, write)
@@ -191,8 +193,12 @@ def main() -> int:
     parser.add_argument("pages", nargs="*", metavar="PAGE", default=PAGES)
     parser.add_argument("--write", action="store_true", help="put what is printed into the pages")
     parser.add_argument("--slow", action="store_true", help="run slow blocks, too")
+    parser.add_argument("--folder", type=Path, help="where `make demo` was run by a run before")
     options = parser.parse_args()
-    count = _run_all(options.pages, options.slow, options.write, print)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.folder or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        count = _run_all(options.pages, folder, options.slow, options.write, print)
     print(f"{count} {'written' if options.write else 'to write'}")
     return 0 if options.write else min(count, 1)
 

@@ -2,7 +2,7 @@
 
     python tests/end_to_end/ray_hosts.py             # needs root: hosts are Linux namespaces
 
-The head schedules; two workers score, one of them until half of the shards are done. What the build
+The head schedules; two workers score, one of them until half of the sentences are done. What the build
 then published is compared with a local build: the same rows, none missing and none twice.
 """
 
@@ -29,6 +29,7 @@ PORT = 6379
 BIN = Path(sys.executable).parent
 # As the page says, but for what this machine lacks: a core each, however many hosts there are.
 HEAD = ("ray", "start", "--head", f"--port={PORT}", "--num-cpus=0")
+TOKEN = {"RAY_AUTH_MODE": "token"}
 WORKER = ("ray", "start", "--num-cpus=1")
 
 
@@ -40,7 +41,7 @@ class Outcome:
     again: str  # of the same build, once more
     seconds: float
     lost_at: float  # seconds into the build when the worker was killed
-    shards_done: int  # by then
+    scored_by_then: int  # sentences
     rows: int  # of query_scores, source proxy
     same_combinations: bool
     furthest: float  # nats between two scores of one sentence
@@ -60,15 +61,15 @@ def run(folder: Path, labels: str = "mpcat40", k: int = 3) -> Outcome:
         _say("cluster: " + ", ".join(f"{host.name} {host.address}" for host in (head, *workers)))
         _start(head, workers)
         words = (program, "build", *options, "--tables", str(shared), "--engine", "ray")
-        environment = {"RAY_ADDRESS": f"{head.address}:{PORT}"}
+        environment = {"RAY_ADDRESS": f"{head.address}:{PORT}", **TOKEN}
         started = time.monotonic()
         build = subprocess.Popen(
             head.command(words), env=head.environment(**environment), text=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
-        done = _half_done(shared, build)
+        done = _half_done(shared, len(_sentences(local)), build)
         lost_at = time.monotonic() - started
-        _say(f"{done} shards are done after {lost_at:.0f} s: killing {workers[1].name}")
+        _say(f"{done:,} sentences are scored after {lost_at:.0f} s: killing {workers[1].name}")
         workers[1].kill()
         said, _ = build.communicate()
         seconds = time.monotonic() - started
@@ -93,17 +94,17 @@ def _start(head: Host, workers: list[Host]) -> None:
 
 
 def _on(host: Host, program: str, *words: str) -> None:
-    host.run(str(BIN / program), *words, RAY_USAGE_STATS_ENABLED="0")
+    host.run(str(BIN / program), *words, RAY_USAGE_STATS_ENABLED="0", **TOKEN)
 
 
-def _half_done(tables: Path, build: subprocess.Popen[str]) -> int:
-    """Wait until half of the shards are in the cache; returns how many."""
+def _half_done(tables: Path, sentences: int, build: subprocess.Popen[str]) -> int:
+    """Wait until half of the sentences are in the cache; returns how many."""
     while build.poll() is None:
-        shards = len(list(tables.glob("scores/*/*/shard-*.parquet")))
-        parts = len(list(tables.glob("scores/*/part-*.parquet")))
-        if shards and 2 * parts >= shards:
-            return parts
-        time.sleep(0.05)
+        parts = list(tables.glob("scores/*/part-*.parquet"))
+        done = sum(pq.read_metadata(part).num_rows for part in parts)
+        if 2 * done >= sentences:
+            return done
+        time.sleep(0.1)
     raise RuntimeError(f"the build ended before a worker could be killed: {build.communicate()[0]}")
 
 
@@ -112,8 +113,7 @@ def _compared(local: Path, shared: Path, labels: str) -> dict[str, object]:
     ours, theirs = (_query_scores(tables, labels) for tables in (local, shared))
     same = [list(table) for table in (ours, theirs)]
     scores = [np.array(list(table.values())) for table in (ours, theirs)]
-    parts = [pq.read_table(path) for path in shared.glob("scores/*/part-*.parquet")]
-    sentences = [text for part in parts for text in part.column("sentence").to_pylist()]
+    sentences = _sentences(shared)
     equal = same[0] == same[1]
     return {
         "rows": len(theirs),
@@ -123,6 +123,12 @@ def _compared(local: Path, shared: Path, labels: str) -> dict[str, object]:
         "sentences": len(sentences),
         "sentences_twice": len(sentences) - len(set(sentences)),
     }
+
+
+def _sentences(tables: Path) -> list[str]:
+    """Every sentence in the score parts, as often as it is there."""
+    parts = [pq.read_table(path) for path in tables.glob("scores/*/part-*.parquet")]
+    return [text for part in parts for text in part.column("sentence").to_pylist()]
 
 
 def _query_scores(tables: Path, labels: str) -> dict[tuple[str, ...], list[float]]:

@@ -12,7 +12,7 @@ def test_a_cluster_that_loses_a_host_builds_what_one_machine_builds(tmp_path):
     if reason := why_not():
         pytest.skip(reason)
     found = run(tmp_path)
-    assert found.shards_done > 0
+    assert 0 < found.scored_by_then < found.sentences
     assert found.same_combinations
     assert found.rows == found.best_rooms_equal == 7_175
     assert found.furthest < 1e-3
