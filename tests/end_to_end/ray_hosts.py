@@ -2,8 +2,8 @@
 
     python tests/end_to_end/ray_hosts.py             # needs root: hosts are Linux namespaces
 
-The head schedules; two workers score, one of them until half of the sentences are done. What the build
-then published is compared with a local build: the same rows, none missing and none twice.
+The head schedules; two workers score, one of them until half of the sentences are done. What the
+build then published is compared with a local build: the same rows, none missing and none twice.
 """
 
 from __future__ import annotations

@@ -123,6 +123,7 @@ def load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any
     ModelError
         Its architecture is unknown, or its weights are damaged, incomplete or too large.
     """
+    _quieten()
     _refuse_foreign_code(folder)
     refuse_counts(folder)
     auto = (
