@@ -43,6 +43,19 @@ def _check(page, made_pages, slow):
     assert not wrong, f"{said}\nIf that is right: {again}"
 
 
+def test_the_readme_shows_the_floor_plan_that_its_command_draws(made_pages):
+    with made_pages.shell("floor-plan", activated=True) as shell:
+        shell.run(
+            "roomtables show src/roomtables/examples/apartment.json --offline -o apartment.svg"
+        )
+        drawn, shown = (
+            re.findall(r">([^<>\n]+)</text>", path.read_text())
+            for path in (shell.folder / "apartment.svg", ROOT / "docs" / "apartment.svg")
+        )
+    assert any("bathroom" in text for text in drawn)
+    assert shown == drawn, "run `make pictures`"
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_every_block_can_be_checked(page):
     assert [fault for block in blocks(page) for fault in faults_of(block)] == []
