@@ -43,7 +43,7 @@ from roomtables.storage.score_cache import SentenceCache
 SHARD_SENTENCES = 65_536
 # So that the last shards, which not every actor has one of, are a small part of the whole.
 _SHARDS_PER_WORKER = 4
-# Actors that may die of one shard, or as they start, before the build gives up.
+# Actors that die of one shard, or as they start, one after the other: then the build gives up.
 _MOST_DEATHS = 4
 _STARTING = ""  # in place of a shard
 
@@ -136,7 +136,7 @@ def _rows(
     Raises
     ------
     ray.exceptions.RayError
-        An actor raises, or dies where others died before it: of one shard, or as it starts.
+        An actor raises, or one after the other dies: of the same shard, or as it starts.
     """
     waiting, left = deque(shards), len(shards)
     deaths: Counter[str] = Counter()
@@ -164,6 +164,7 @@ def _rows(
             waiting.extendleft([shard] if shard != _STARTING else [])
             start()
             continue
+        deaths[shard] = 0
         idle.append(actor)
         if shard != _STARTING:
             left -= 1
