@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 
-# Times, dates, and what is derived from a file's bytes.
+# Times, dates, what is derived from a file's bytes, and how many those are.
 _VARIES = re.compile(
     r"\b\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}(?:\.\d+)?(?:\+00:00|Z)?"
     r"|\b[\d,]+(?:\.\d+)? (?:s|ms|min|h|seconds|minutes|hours)\b(?: ago| old)?"
+    r"|\b(?:bytes|age_hours) +[\d.]+"
     r"|(?<=-)[0-9a-f]{8}\b"
     r"|\b[0-9a-f]{16,64}\b"
     r"|\b[\d,.]+ sentences (?:a|/) ?s(?:econd)?\b"

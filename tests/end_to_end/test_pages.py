@@ -143,6 +143,7 @@ def test_a_command_that_fails_is_wrong_unless_its_error_is_shown(page):
     [
         ("published 000001-0123abcd, 12.3 s", "published 000001-99fe0000, 4.0 s"),
         ("saved 2026-01-02T03:04:05+00:00", "saved 2027-11-12T13:14:15+00:00"),
+        ("bytes       123", "bytes  1250"),
         ("p\n-----\n0.849", "p\n----\n0.85"),
         ("first\n…\nlast", "first\nsecond\nthird\nlast"),
     ],
