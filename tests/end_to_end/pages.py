@@ -69,8 +69,7 @@ class Block:
 
     def commands(self) -> list[tuple[str, str]]:
         """A console block's commands, and what each should print."""
-        start = self.text.find("$ ")
-        if start != 0:
+        if not self.text.startswith("$ "):
             raise ValueError(f"{self.where}: a console block begins with a command behind `$ `")
         found = list(_COMMAND.finditer(self.text))
         ends = [*(match.start() for match in found[1:]), len(self.text)]
@@ -81,7 +80,7 @@ class Block:
     def runs(self, slow: bool, data: bool) -> bool:
         """Whether it is to run: with slow ones or without, with real test data or without."""
         allowed = {"slow": slow, "data": data}
-        return self.kind in RUN and all(allowed[word] for word in self.when)
+        return self.kind in RUN and all(allowed.get(word, True) for word in self.when)
 
 
 def blocks(page: str) -> list[Block]:
@@ -136,18 +135,11 @@ def run_page(
         block = _block(page, match)
         if not block.runs(slow, data_here()):
             return match[0]
+        asked = _asked(block, sql[1] if sql else "roomtables sql", shell.folder)
+        outputs = [_ran(shell, block, command, shown, wrong) for command, shown in asked]
         if block.kind == "console":
-            pairs = [(command, command, shown) for command, shown in block.commands()]
-        elif block.kind == "sql":
-            asked = f"{sql[1] if sql else 'roomtables sql'} {shlex.quote(block.text.strip())}"
-            pairs = [(asked, "", block.output or "")]
-        else:
-            script = shell.folder / ".block.py"
-            script.write_text(block.text, encoding="utf-8")
-            pairs = [(f"python {script}", "", block.output or "")]
-        outputs = [_ran(shell, block, command, shown, wrong) for command, _, shown in pairs]
-        if block.kind == "console":
-            inside = "".join(f"$ {c}\n{o}" for (c, _, _), o in zip(pairs, outputs, strict=True))
+            pairs = zip(asked, outputs, strict=True)
+            inside = "".join(f"$ {command}\n{output}" for (command, _), output in pairs)
             return match[0].replace(f"\n{block.text}```", f"\n{inside}```")
         if block.output is None:
             return match[0]
@@ -157,6 +149,17 @@ def run_page(
     if write and written != text:
         (root / page).write_text(written, encoding="utf-8")
     return wrong
+
+
+def _asked(block: Block, sql: str, folder: Path) -> list[tuple[str, str]]:
+    """The commands that a block comes to, and what the page shows of each."""
+    if block.kind == "console":
+        return block.commands()
+    if block.kind == "sql":
+        return [(f"{sql} {shlex.quote(block.text.strip())}", block.output or "")]
+    script = folder / ".block.py"
+    script.write_text(block.text, encoding="utf-8")
+    return [(f"python {script}", block.output or "")]
 
 
 def _ran(

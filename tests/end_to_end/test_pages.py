@@ -58,7 +58,11 @@ def test_the_readme_shows_the_floor_plan_that_its_command_draws(made_pages):
 
 @pytest.mark.parametrize("page", PAGES)
 def test_every_block_can_be_checked(page):
-    assert [fault for block in blocks(page) for fault in faults_of(block)] == []
+    found = blocks(page)
+    assert [fault for block in found for fault in faults_of(block)] == []
+    fences = re.findall(r"^ *```", (ROOT / page).read_text(), re.MULTILINE)
+    outputs = [block for block in found if block.output is not None]
+    assert len(fences) == 2 * len(found) + 2 * len(outputs), "a block is indented, or has no end"
 
 
 def test_what_cannot_run_has_one_reason_each_and_every_reason_a_block():
