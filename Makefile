@@ -6,8 +6,9 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+# The extras of the demo, and of the README.
+DEMO   := lm,report
 EXAMPLE := src/roomtables/examples/house.jsonl
-DEMO   := $(VENV)/demo-tables
 # Which slow tests `make test-slow` runs: all, or the files and options given.
 SLOW   ?=
 # The same for `make test-faults`.
@@ -28,19 +29,19 @@ ROBOT_TESTS := tests/robot tests/unit/scenes $(wildcard tests/unit/test_csv_rows
   tests/unit/test_names.py tests/unit/test_rooms.py tests/unit/test_sentences.py \
   tests/unit/storage/test_misses.py)
 
-.PHONY: demo test test-robot test-on-3.10 wheel test-slow test-faults test-real-lm lint household-lm clean
+.PHONY: demo pictures test test-robot test-on-3.10 wheel test-slow test-faults test-real-lm lint household-lm clean
 
-demo: $(VENV)/.installed-lm
+demo: $(VENV)/.installed-$(DEMO)
 	@echo "== build: p(room | object) for household, and the combinations that the example needs"
-	$(BIN)/roomtables build --tables $(DEMO) --combinations $(EXAMPLE)
+	$(BIN)/roomtables build --combinations $(EXAMPLE)
 	@echo "== label the example scene, from the tables alone"
-	$(BIN)/roomtables classify --tables $(DEMO) --input $(EXAMPLE) --offline
+	$(BIN)/roomtables classify --input $(EXAMPLE) --offline
 	@echo "== a robot's own names, and no model: the objects' own evidence decides"
-	$(BIN)/roomtables classify --tables $(DEMO) --offline Refrigerator_1 MicrowaveOven "gas stove"
+	$(BIN)/roomtables classify --offline Refrigerator_1 MicrowaveOven "gas stove"
 	@echo "== a combination that no table holds: one pass of the model"
-	$(BIN)/roomtables classify --tables $(DEMO) --rule query bathtub towel mirror
+	$(BIN)/roomtables classify --rule query bathtub towel mirror
 	@echo "== what the tables know"
-	$(BIN)/roomtables sql --tables $(DEMO) \
+	$(BIN)/roomtables sql \
 	  "select object, entropy_nats from entropy where source = 'proxy' order by rank limit 5"
 
 # Where no test is collected, pytest exits with 5, and so make fails.
@@ -89,6 +90,15 @@ lint: $(VENV)/.installed-dev
 # Trains a model as the embedded one was: up to an hour on a CPU. See pipeline/household_lm/.
 household-lm: $(VENV)/.installed-dev
 	$(BIN)/python -m pipeline.household_lm.train
+
+# The README's pictures, drawn anew from what `make demo` made; a browser takes the second one.
+BROWSER ?= chromium
+pictures: demo
+	$(BIN)/roomtables show src/roomtables/examples/apartment.json --offline -o docs/apartment.svg
+	$(BIN)/roomtables report $(EXAMPLE) --offline -o $(VENV)/report.html
+	echo '<style>#about { display: none }</style>' >>$(VENV)/report.html
+	$(BROWSER) --headless --no-sandbox --hide-scrollbars --window-size=1180,880 \
+	  --screenshot=docs/report.png "file://$(CURDIR)/$(VENV)/report.html"
 
 clean:
 	rm -rf $(VENV) build dist

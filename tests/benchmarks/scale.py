@@ -17,11 +17,11 @@ import pyarrow.parquet as pq
 
 from roomtables.config import load_labels
 from roomtables.lm import load_scorer
-from roomtables.offline.combinations import count_all
 from roomtables.offline.engines import SHARD_SENTENCES
 from roomtables.packing.sequences import sort_sequences
 from roomtables.packing.trie import build_trie
 from roomtables.sentences import Template
+from roomtables.storage.manifest import count_combinations
 
 
 def tokens_per_sentence(labels: str, samples: int) -> tuple[float, float]:
@@ -58,14 +58,14 @@ def main() -> None:
     parser.add_argument("-k", type=int, default=3)
     parser.add_argument("--rate", type=float, required=True, help="sentences a second, one worker")
     parser.add_argument("--parts", type=Path, help="a scores/<scorer> folder, for bytes")
-    parser.add_argument("--parameters", type=float, default=2.56e6, help="of the model")
+    parser.add_argument("--parameters", type=float, default=1.61e6, help="of the model")
     parser.add_argument(
         "--flops", type=float, default=3e14, help="of a GPU, per second, dense bf16"
     )
     parser.add_argument("--use", type=float, default=0.1, help="share of them that is reached")
     options = parser.parse_args()
     rooms = len(load_labels(options.labels).predicted_rooms)
-    combinations = count_all(options.objects, options.k)
+    combinations = count_combinations(options.objects, options.k)
     sentences = combinations * rooms
     before, after = tokens_per_sentence(options.labels, 20)
     print(f"combinations          {combinations:,}")

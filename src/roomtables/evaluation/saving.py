@@ -9,12 +9,15 @@ from typing import Any
 
 from roomtables.evaluation.judging import Evaluation
 from roomtables.online.classifier import RoomTables
+from roomtables.storage.client_databases import write_anew
 from roomtables.storage.evaluations import save_evaluation
 from roomtables.storage.files import utc_now
 
 
 def save(evaluations: Sequence[Evaluation], tables: RoomTables, name: str) -> tuple[Path, bool]:
     """Keep what was predicted, in one file; its path, and whether it took another's place.
+
+    The databases that were asked for of the tables are written anew, so that they show it.
 
     One row per evaluation and room; table ``evaluations`` of the data dictionary says of what.
 
@@ -28,7 +31,10 @@ def save(evaluations: Sequence[Evaluation], tables: RoomTables, name: str) -> tu
     saved = utc_now().replace(tzinfo=None)
     version = tables.version
     rows = (row for found in evaluations for row in _rows(found, name, version.name, saved))
-    return save_evaluation(version.path.parent, name, rows)
+    space = version.path.parent
+    written = save_evaluation(space, name, rows)
+    write_anew(space.parent)
+    return written
 
 
 def _rows(found: Evaluation, name: str, version: str, saved: datetime) -> Iterator[dict[str, Any]]:

@@ -128,6 +128,7 @@ def load_network(folder: ModelFolder, kind: str, dtype: str, device: str) -> Any
     MissingExtraError
         It is a GGUF file, and what reads one is not installed.
     """
+    _quieten()
     if folder.gguf is None:
         _refuse_foreign_code(folder)
         refuse_counts(folder)

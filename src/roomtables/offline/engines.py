@@ -2,9 +2,9 @@
 
 On Ray, the driver (the process that builds) cuts what is to be scored into shard files; an actor
 (a worker process that holds one model) scores a shard and writes a part file beside it; the
-driver moves the part into the cache. Driver and actors see the same file system. If an actor
-dies, Ray repeats its shard; if the driver dies, the shards under way are lost, and the next build
-scores them.
+driver moves the part into the cache. Driver and actors see the same file system. If an actor or
+its whole host dies, another actor scores its shard; if the driver dies, the shards under way are
+lost, and the next build scores them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from itertools import islice
 from pathlib import Path
@@ -42,6 +43,9 @@ from roomtables.storage.score_cache import SentenceCache
 SHARD_SENTENCES = 65_536
 # So that the last shards, which not every actor has one of, are a small part of the whole.
 _SHARDS_PER_WORKER = 4
+# Actors that die of one shard, or as they start, one after the other: then the build gives up.
+_MOST_DEATHS = 4
+_STARTING = ""  # in place of a shard
 
 
 def score(work: Work) -> Scored:
@@ -66,8 +70,8 @@ def score(work: Work) -> Scored:
 class ShardWriter:
     """An actor: holds one model and scores shard after shard.
 
-    A :class:`RoomtablesError` is returned as the row's ``error``: if it were raised, Ray would
-    repeat the work and wrap the message.
+    A :class:`RoomtablesError` is returned as ``error``: if it were raised, Ray would wrap the
+    message in a report of its own.
     """
 
     def __init__(self, config: BuildConfig, model: LazyScorer, cache: SentenceCache) -> None:
@@ -79,16 +83,16 @@ class ShardWriter:
         except RoomtablesError as error:
             self.failure = str(error)
 
-    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
-        """Score the file ``row["shard"]``; returns how many sentences and tokens, and an error."""
+    def score(self, shard: str) -> dict[str, Any]:
+        """Score a shard file; returns how many sentences and tokens, and an error or ''."""
         if not self.failure:
             try:
-                return {**self._score(row["shard"]), "error": ""}
+                return {**self._scored(shard), "error": ""}
             except RoomtablesError as error:
                 self.failure = str(error)
         return {"sentences": 0, "tokens": 0, "error": self.failure}
 
-    def _score(self, shard: str) -> dict[str, int]:
+    def _scored(self, shard: str) -> dict[str, int]:
         sentences = pq.read_table(shard).column("sentence").to_pylist()
         found = list(scored(self.scorer, iter(sentences), len(sentences)))
         scores = [score for _, score in found]
@@ -105,23 +109,66 @@ def _score_on_ray(work: Work) -> Scored:
             workers, needs = _workers(work.config, ray.cluster_resources())
             shards = _write_shards(work, run.folder, workers)
             workers = min(workers, len(shards))
-            ray.data.DataContext.get_current().enable_progress_bars = False
-            rows = ray.data.from_items(
-                [{"shard": str(shard.resolve())} for shard in shards],
-                override_num_blocks=len(shards),
-            ).map(
-                ShardWriter,
-                fn_constructor_kwargs={"config": work.config, "model": work.model, "cache": run},
-                compute=ray.data.ActorPoolStrategy(size=workers),
-                **needs,
+            actor = ray.remote(ShardWriter).options(**needs)
+            rows = _rows(
+                ray,
+                lambda: actor.remote(work.config, work.model, run),
+                [str(shard.resolve()) for shard in shards],
+                workers,
             )
-            return _collect(work, rows.iter_rows(), workers)
+            return _collect(work, rows, workers)
     except ray.exceptions.RayError as error:
         raise ModelError(
             f"Ray failed: {_reason(error)}; run `roomtables build` to go on"
         ) from error
     finally:
         work.cache.end_runs()
+
+
+def _rows(
+    ray: Any, new_actor: Callable[[], Any], shards: Sequence[str], workers: int
+) -> Iterator[dict[str, Any]]:
+    """What the actors say of each shard, in the order in which they finish.
+
+    An actor that dies is replaced, and its shard goes to whichever is free first; Ray starts the
+    replacement when there is room for it, which after the loss of a host may be never.
+
+    Raises
+    ------
+    ray.exceptions.RayError
+        An actor raises, or one after the other dies: of the same shard, or as it starts.
+    """
+    waiting, left = deque(shards), len(shards)
+    deaths: Counter[str] = Counter()
+    idle: list[Any] = []
+    busy: dict[Any, tuple[Any, str]] = {}  # what is waited for: an actor, and its shard
+
+    def start() -> None:
+        actor = new_actor()
+        busy[actor.__ray_ready__.remote()] = actor, _STARTING
+
+    for _ in range(workers):
+        start()
+    while left:
+        while idle and waiting:
+            actor, shard = idle.pop(), waiting.popleft()
+            busy[actor.score.remote(shard)] = actor, shard
+        (ended,), _ = ray.wait(list(busy), num_returns=1)
+        actor, shard = busy.pop(ended)
+        try:
+            row = ray.get(ended)
+        except ray.exceptions.RayActorError:
+            deaths[shard] += 1
+            if deaths[shard] == _MOST_DEATHS:
+                raise
+            waiting.extendleft([shard] if shard != _STARTING else [])
+            start()
+            continue
+        deaths[shard] = 0
+        idle.append(actor)
+        if shard != _STARTING:
+            left -= 1
+            yield row
 
 
 def _import_ray() -> Any:
@@ -134,10 +181,9 @@ def _import_ray() -> Any:
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read when Ray is imported
     with needing("`--engine ray`"):
-        import ray.data
+        import ray
 
-    for name in ("ray", "ray.data"):  # they report every step on stderr, over the progress bar
-        logging.getLogger(name).setLevel(logging.ERROR)
+    logging.getLogger("ray").setLevel(logging.ERROR)  # it reports on stderr, over the progress bar
     return ray
 
 

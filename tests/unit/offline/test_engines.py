@@ -83,7 +83,7 @@ def test_an_actor_hands_on_what_a_user_can_correct(tmp_path):
     for scorer, said in ((broken, "no score"), (HashScorer("x"), "expected hash@1")):
         model = LazyScorer(BuildConfig.load(), scorer)
         actor = ShardWriter(BuildConfig.load(), model, cache)
-        assert said in actor({"shard": str(shard)})["error"]
+        assert said in actor.score(str(shard))["error"]
     assert not cache.folder.exists()
 
 
