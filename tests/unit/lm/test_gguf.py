@@ -6,6 +6,7 @@ import json
 import struct
 import subprocess
 import sys
+import tarfile
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -13,15 +14,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 pytest.importorskip("gguf", reason="needs the extra `gguf`")
 
 from roomtables import RoomTables, build
+from roomtables.cli import main
 from roomtables.errors import MissingExtraError, ModelError
-from roomtables.lm import export_onnx, identify, identities, load_scorer
+from roomtables.lm import identify, identities, load_scorer
 from roomtables.lm.gguf import TOKEN_TYPES, TOKENS, read_header
 from roomtables.lm.gguf_tokenizer import PROBES, Vocabulary, disagreement
-from roomtables.onnx_lm import OnnxScorer
+from roomtables.onnx_lm import MODEL_FILE, OnnxScorer
 from support import small_space, write_space
 from unit.lm.conftest import byte_level_tokenizer, room_sentences, save_model
 from unit.lm.gguf_files import write_gguf
@@ -100,9 +103,15 @@ def test_tables_are_built_with_it_and_packed_in_onnx(file: Path, tmp_path: Path)
     assert report.sentences_scored
     tables = RoomTables.open(tmp_path / "tables", labels="small")
     assert tables.classify(["toilet", "sink"]).answered_by == "table"
-    made = export_onnx(tmp_path / "onnx", SENTENCES[:4], str(file))
+    packed = ["--labels", "small", "--with-model", "-o", str(tmp_path / "robot.tar.gz")]
+    ran = CliRunner().invoke(main, ["export", "--tables", str(tmp_path / "tables"), *packed])
+    assert ran.exit_code == 0, ran.output
+    with tarfile.open(tmp_path / "robot.tar.gz") as archive:
+        archive.extractall(tmp_path / "robot", filter="data")
+    (onnx,) = (tmp_path / "robot").rglob(MODEL_FILE)
+    made = OnnxScorer.open(onnx)
     assert made.facts.scorer_ids == identities(str(file))
-    found = [score.log_prob for score in OnnxScorer.open(tmp_path / "onnx").score(SENTENCES)]
+    found = [score.log_prob for score in made.score(SENTENCES)]
     expected = [score.log_prob for score in load_scorer(str(file)).score(SENTENCES)]
     np.testing.assert_allclose(found, expected, atol=1e-3, rtol=0)
 
