@@ -189,6 +189,8 @@ class Command:
     published : whether tables are published before
     done : whether it has taken effect already, where it cannot be run twice
     placed : makes what cannot be moved, where the command is to run
+    behind : the first call that is disturbed is that on a path which ends so: what comes before is
+        another command's
     """
 
     name: str
@@ -197,6 +199,7 @@ class Command:
     published: bool = True
     done: Callable[[Site], bool] | None = None
     placed: Callable[[Site], None] | None = None
+    behind: str = ""
 
     def args(self, site: Site) -> list[str]:
         words = self.line.split()
@@ -260,7 +263,7 @@ COMMANDS: Mapping[str, Command] = {
         ),
         Command("export", "export --tables {tables} --labels home -o {archive}", _versions),
         Command("database", _DATABASE, _versions),
-        Command("database-anew", f"{_BUILD} -k 3", _versions, placed=_database),
+        Command("database-anew", f"{_BUILD} -k 3", _versions, placed=_database, behind="/CURRENT"),
         Command("plan", "plan --exact --tables {tables} --labels {labels} -k 3", _versions),
     )
 }
