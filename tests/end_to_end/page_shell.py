@@ -28,6 +28,8 @@ _OWN = {".git", ".venv", "tables", "build", "dist"}
 _ENDED = "--- page: the command ended with"
 _LIMIT_SECONDS = 600.0
 _COLUMNS = 80
+# Of an environment that is active, of this terminal, and of a `make` that runs the tests.
+_NOT_A_NEW_USERS = {"VIRTUAL_ENV", "COLUMNS", "MAKEFLAGS", "MAKELEVEL", "MFLAGS"}
 
 
 class Ran(NamedTuple):
@@ -186,9 +188,7 @@ def _program(path: Path, text: str) -> None:
 
 def _environment() -> dict[str, str]:
     """A new user's: no environment is active, and `roomtables` is not to be found."""
-    found = {
-        key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "COLUMNS")
-    }
+    found = {key: value for key, value in os.environ.items() if key not in _NOT_A_NEW_USERS}
     folders = [
         folder
         for folder in found["PATH"].split(os.pathsep)

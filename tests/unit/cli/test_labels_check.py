@@ -3,9 +3,6 @@
 import csv
 import io
 import json
-import re
-import shlex
-from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -87,13 +84,3 @@ def test_published_tables_are_asked_before_the_label_space(check, tmp_path):
 def test_a_file_that_is_not_there_is_told(check):
     found = check("missing.json", code=1)
     assert found.stderr.startswith("error: cannot read missing.json")
-
-
-def test_the_page_on_label_spaces_shows_what_is_printed(check):
-    page = (Path(__file__).parents[3] / "docs" / "labels.md").read_text(encoding="utf-8")
-    shown_run = r"^\$ (roomtables labels check Din.*)\n((?:.*\n)+?)```"
-    ((command, shown),) = re.findall(shown_run, page, re.MULTILINE)
-    found = check(*shlex.split(command)[3:])
-    assert [line.split() for line in found.stdout.splitlines()] == [
-        line.split() for line in shown.splitlines()
-    ]
