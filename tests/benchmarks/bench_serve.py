@@ -35,6 +35,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from roomtables import RoomTables, build
 from scene_builders import node_id
 
+HYDRAS_NAME = re.compile(r"R\d+")  # of a room that nothing is known of as yet
 STAMP = re.compile(rb"update-(\d{8})-")
 OBJECTS = 5  # in a room
 SAMPLE = 25  # of this many graphs that come back, the names in one are looked at
@@ -91,17 +92,16 @@ def made_messages(pool: Sequence[Contents], rooms: int, names: Sequence[str]) ->
     return messages
 
 
-def rooms_in(message: bytes) -> dict[Contents, str]:
-    """The objects' names of each room in a graph, and the name that it bears."""
+def rooms_in(message: bytes) -> dict[Contents, str | None]:
+    """The objects' names of each room in a graph, and the name that it bears, if it has one."""
     graph = spark_dsg.DynamicSceneGraph.from_binary(message)
     names = graph.get_labelspace(2, 0).labels_to_names
     found = {}
     for node in graph.get_layer("ROOMS").nodes:
         [place] = node.children()
         objects = [graph.get_node(key).attributes for key in graph.get_node(place).children()]
-        found[tuple(sorted(names[thing.semantic_label] for thing in objects))] = (
-            node.attributes.name
-        )
+        name = None if HYDRAS_NAME.fullmatch(node.attributes.name) else node.attributes.name
+        found[tuple(sorted(names[thing.semantic_label] for thing in objects))] = name
     return found
 
 
@@ -208,7 +208,7 @@ def judge(peer: Peer, pool: list[Contents], messages: list[bytes], tables: Any, 
             if name not in (at_once[contents], asked[contents]):
                 print(f"wrong: {name} for {', '.join(contents)}")
     print(f"names right while graphs went by: {right} of {total} looked at")
-    in_the_end: dict[Contents, str] = {}
+    in_the_end: dict[Contents, str | None] = {}
     for once_more in range(2):  # what the first round asks about is answered in the second
         waited = time.perf_counter()
         while "waiting" in peer.told and time.perf_counter() - waited < 600:
