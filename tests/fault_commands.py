@@ -5,6 +5,7 @@ A new command that writes is a line in ``COMMANDS``.
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import re
@@ -24,7 +25,13 @@ import roomtables.lm
 from roomtables import RoomTables, build
 from roomtables.cli import main as command_line
 from roomtables.labels import LabelSpace
-from roomtables.offline import builder, plan, scoring, upkeep  # noqa: F401  (once, before the forks)
+from roomtables.offline import (  # noqa: F401  (once, before the forks)
+    builder,
+    model,
+    plan,
+    scoring,
+    upkeep,
+)
 from roomtables.storage.checked import last_checked
 from roomtables.storage.misses import FOLDER, Misses
 from roomtables.storage.score_cache import SentenceCache
@@ -76,6 +83,7 @@ class Site:
         # Else Python tries the folder first, by a file of its own.
         tempfile.tempdir = str(self.root / "tmp")
         scoring.PART_SENTENCES = 20  # so that a build writes several parts
+        model.EMBEDDED_MODEL = "none"  # else a build runs it from its ONNX file
         roomtables.lm.identify = lambda *args, **settings: "hash@1"
         roomtables.lm.load_scorer = lambda *args, **settings: HashScorer()
         yield command_line
@@ -267,3 +275,7 @@ COMMANDS: Mapping[str, Command] = {
         Command("plan", "plan --exact --tables {tables} --labels {labels} -k 3", _versions),
     )
 }
+
+# A fork then copies few of the pages that hold what is imported.
+gc.collect()
+gc.freeze()

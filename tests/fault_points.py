@@ -36,7 +36,10 @@ from typing import Any
 from fault_commands import COMMANDS, Command, Site, litter, same
 
 SOURCE = Path(__file__).with_name("fault_points.c")
-_IMPORTED_ONCE = ["fault_commands", "inflect", "pandas", "roomtables.storage.export"]
+_IMPORTED_ONCE = [
+    "inflect", "pandas", "pyarrow.dataset", "pyarrow.pandas_compat", "tomllib", "tqdm",
+    "encodings.utf_8_sig", "roomtables.storage.export", "fault_commands",
+]  # fmt: skip
 WORKERS = 2
 INTERRUPTED = 130
 

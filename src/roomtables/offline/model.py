@@ -55,7 +55,8 @@ class LazyScorer:
         return self._scorer
 
     def _from_onnx(self) -> Scorer | None:
-        if self._config.model != EMBEDDED_MODEL or self._config.token_budget is not None:
+        config = self._config
+        if config.model != EMBEDDED_MODEL or config.dtype != "float32" or config.token_budget:
             return None
         try:
             scorer = OnnxScorer.open(EMBEDDED_FOLDER)
