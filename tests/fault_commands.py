@@ -5,7 +5,6 @@ A new command that writes is a line in ``COMMANDS``.
 
 from __future__ import annotations
 
-import gc
 import json
 import math
 import re
@@ -275,7 +274,3 @@ COMMANDS: Mapping[str, Command] = {
         Command("plan", "plan --exact --tables {tables} --labels {labels} -k 3", _versions),
     )
 }
-
-# A fork then copies few of the pages that hold what is imported.
-gc.collect()
-gc.freeze()

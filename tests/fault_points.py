@@ -36,10 +36,7 @@ from typing import Any
 from fault_commands import COMMANDS, Command, Site, litter, same
 
 SOURCE = Path(__file__).with_name("fault_points.c")
-_IMPORTED_ONCE = [
-    "inflect", "pandas", "pyarrow.dataset", "pyarrow.pandas_compat", "tomllib", "tqdm",
-    "encodings.utf_8_sig", "roomtables.storage.export", "fault_commands",
-]  # fmt: skip
+_IMPORTED_ONCE = ["fault_imports"]
 WORKERS = 2
 INTERRUPTED = 130
 
