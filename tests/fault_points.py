@@ -250,13 +250,27 @@ def _exit_code(target: Callable[..., Any], args: Sequence[Any]) -> int:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_IMPORTED_ONCE)
     process = context.Process(target=target, args=args)
-    with _STARTING:
+    with _STARTING, _tests_on_the_path():
         process.start()
     wait([process.sentinel])
     with _STARTING:
         process.join()
     assert process.exitcode is not None
     return process.exitcode
+
+
+@contextmanager
+def _tests_on_the_path() -> Iterator[None]:
+    """The process that the runs are forked from goes by PYTHONPATH; what it cannot import, it leaves
+    to each of them."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(SOURCE.parent), *([before] if before else [])])
+    try:
+        yield
+    finally:
+        del os.environ["PYTHONPATH"]
+        if before is not None:
+            os.environ["PYTHONPATH"] = before
 
 
 def _answer(path: Path, target: Callable[..., Any], args: Sequence[Any]) -> None:
