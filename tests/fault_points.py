@@ -261,8 +261,8 @@ def _exit_code(target: Callable[..., Any], args: Sequence[Any]) -> int:
 
 @contextmanager
 def _tests_on_the_path() -> Iterator[None]:
-    """The process that the runs are forked from goes by PYTHONPATH; what it cannot import, it leaves
-    to each of them."""
+    """The process that the runs are forked from goes by PYTHONPATH; what it cannot import, each of
+    them imports."""
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join([str(SOURCE.parent), *([before] if before else [])])
     try:
