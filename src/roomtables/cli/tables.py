@@ -12,30 +12,24 @@ from roomtables.cli.common import (
     Command,
     emit,
     format_option,
+    labels_option,
     output_option,
     render,
     tables_option,
 )
 from roomtables.cli.completion import complete_labels
+from roomtables.cli.printing import as_json, echo
 from roomtables.config import DEFAULT_LABELS, ENGINES, BuildConfig
 from roomtables.errors import needing
 from roomtables.schemas import REDUCTIONS
 from roomtables.scorer import DTYPES, SCORINGS
+from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.spaces import find_space
 
 if TYPE_CHECKING:
     from roomtables.offline.plan import Plan
 
-
-from roomtables.cli.common import (
-    labels_option,
-)
-from roomtables.cli.printing import as_json, echo
-from roomtables.storage.misses import FOLDER, Misses
-from roomtables.storage.spaces import find_space
-
 _FILE = click.Path(path_type=Path, dir_okay=False)
-
-
 _OPTIONS = (
     click.option("--config", type=_FILE, help="A build.toml; options win over it."),
     click.option(

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from roomtables.limits import JSON_BYTES, json_value, read_bytes
 from roomtables.storage.aside import REMOVING, asides, remove_abandoned, remove_folder
+from roomtables.storage.client_databases import FOLDER as DATABASES
 from roomtables.storage.evaluations import FOLDER as EVALUATIONS
 from roomtables.storage.files import is_held, refuse_outside, writing
 from roomtables.storage.misses import FOLDER as MISSES
@@ -19,7 +20,7 @@ from roomtables.storage.versions import MANIFEST, NAME, STAGING, SpaceFolder
 
 KEPT_VERSIONS = 2
 # Folders of a label space in which files are written aside at any time.
-_WRITTEN_INTO = (MISSES, EVALUATIONS, "databases")
+_WRITTEN_INTO = (MISSES, EVALUATIONS, DATABASES)
 # A version that is being written, by the process's id, or removed, by the version's name.
 _HALF = re.compile(rf"{re.escape(STAGING)}\d+|{re.escape(REMOVING)}{NAME.pattern}")
 
