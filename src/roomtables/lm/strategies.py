@@ -82,8 +82,7 @@ def key_value(forward: Forward, sequences: Sequences, budget: int, meter: Meter)
 @torch.inference_mode()
 def _score_group(forward: Forward, sequences: Sequences, group: Group) -> FloatArray:
     matrix = sequences.matrix[group.rows, : sequences.lengths[group.rows].max()]
-    first = sequences.first[group.rows]
-    shared, count = group.prefix, len(matrix)
+    shared, count, first = group.prefix, len(matrix), sequences.first[group.rows]
     own = np.zeros(count)
     cache = None
     if shared:
@@ -130,8 +129,9 @@ def _of_prefix(log_probs: FloatArray, shared: int, first: IntArray) -> FloatArra
     token; ``first`` is each sequence's first scored token.
     """
     from_token = np.append(np.cumsum(log_probs[: shared - 1][::-1])[::-1], 0.0)
-    own: FloatArray = np.where(first <= shared, log_probs[shared - 1 :], 0.0)
-    return own + from_token[np.minimum(first, shared) - 1]
+    added: FloatArray = from_token[np.minimum(first, shared) - 1]
+    added += np.where(first <= shared, log_probs[shared - 1 :], 0.0)
+    return added
 
 
 def padded(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> FloatArray:

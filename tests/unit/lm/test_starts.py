@@ -1,0 +1,62 @@
+"""Scores of the end of a sentence, against one plain forward per sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+import transformers
+
+from roomtables.errors import ModelError
+from roomtables.lm import load_scorer
+from unit.lm.conftest import OBJECTS, ROOMS
+
+SENTENCES = [f"Things found in a {room}: {thing} and beds." for room in ROOMS for thing in OBJECTS]
+STARTS = [sentence.index(":") for sentence in SENTENCES]
+
+
+def naive(folder: Path, sentence: str, start: int) -> tuple[float, int]:
+    """Log probability of the tokens whose first visible character is at the start or behind it."""
+    tokenizer = transformers.AutoTokenizer.from_pretrained(folder)
+    model = transformers.AutoModelForCausalLM.from_pretrained(folder).eval()
+    encoded = tokenizer(sentence, return_offsets_mapping=True)
+    ids = encoded["input_ids"]
+    with torch.no_grad():
+        log_probs = model(torch.tensor([ids])).logits[0].double().log_softmax(-1)
+    total, count = 0.0, 0
+    for place, (begin, end) in enumerate(encoded["offset_mapping"]):
+        piece = sentence[begin:end]
+        visible = begin + len(piece) - len(piece.lstrip())
+        if place and visible >= start:
+            total += float(log_probs[place - 1, ids[place]])
+            count += 1
+    return total, count
+
+
+@pytest.mark.parametrize("architecture", ["llama", "bloom", "openai-gpt"])  # trie, kv, padded
+def test_only_tokens_behind_the_start_count(
+    architecture: str, model_folder: Callable[[str], Path]
+) -> None:
+    folder = model_folder(architecture)
+    scores = load_scorer(str(folder)).score(SENTENCES, STARTS)
+    for at in range(0, len(SENTENCES), 6):
+        log_prob, count = naive(folder, SENTENCES[at], STARTS[at])
+        assert scores[at].log_prob == pytest.approx(log_prob, abs=1e-4)
+        assert scores[at].token_count == count
+
+
+def test_one_sentence_with_two_starts_has_two_scores(model_folder: Callable[[str], Path]) -> None:
+    folder = model_folder("llama")
+    starts = [0, STARTS[0], STARTS[0] + 2]
+    scores = load_scorer(str(folder)).score([SENTENCES[0]] * 3, starts)
+    for score, start in zip(scores, starts, strict=True):
+        expected, count = naive(folder, SENTENCES[0], start)
+        assert score.log_prob == pytest.approx(expected, abs=1e-4)
+        assert score.token_count == count
+
+
+def test_nothing_behind_the_start_is_refused(model_folder: Callable[[str], Path]) -> None:
+    with pytest.raises(ModelError, match="no token to score behind the start"):
+        load_scorer(str(model_folder("llama"))).score(SENTENCES[:1], [len(SENTENCES[0])])
