@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import transformers
 
 from roomtables.errors import ModelError
 from roomtables.lm import load_scorer
+from roomtables.packing.tokens import first_counted
 from unit.lm.conftest import OBJECTS, ROOMS
 
 SENTENCES = [f"Things found in a {room}: {thing} and beds." for room in ROOMS for thing in OBJECTS]
@@ -60,3 +62,18 @@ def test_one_sentence_with_two_starts_has_two_scores(model_folder: Callable[[str
 def test_nothing_behind_the_start_is_refused(model_folder: Callable[[str], Path]) -> None:
     with pytest.raises(ModelError, match="no token to score behind the start"):
         load_scorer(str(model_folder("llama"))).score(SENTENCES[:1], [len(SENTENCES[0])])
+
+
+@pytest.mark.parametrize("text", ["one  two three", "a b", "mississippi is"])
+@pytest.mark.parametrize("spaces_inside", [True, False])
+def test_a_token_begins_behind_its_spaces(text: str, spaces_inside: bool) -> None:
+    words = [match.span() for match in re.finditer(r" *\S+", text)]
+    visible = [end - len(text[begin:end].lstrip()) for begin, end in words]
+    offsets = (
+        words
+        if spaces_inside
+        else [(begin, end) for begin, (_, end) in zip(visible, words, strict=True)]
+    )
+    for start in range(len(text) + 1):
+        expected = sum(begin < start for begin in visible)
+        assert first_counted(text, offsets, start) == expected
