@@ -40,7 +40,7 @@ def test_options_win_over_the_file_and_the_file_over_defaults(tmp_path):
         ("smoothing = " + "9" * 400, "`smoothing` must be at most"),
         ("k = -" + "9" * 400, "`k` must be at most"),
         ("template = 'x'", "template"),
-        ("template = []", "template must be one sentence, not 0"),
+        ("template = []", "template must hold at least one sentence"),
         ("template = [1]", "`template` must be a list of strings"),
         ("stages = ['objects']", "copy `\\[stages\\]`"),
         ("[stages]\nobjects = 1", "`stages.objects` must be a list of strings"),

@@ -22,6 +22,8 @@ from roomtables.cli.common import (
 from roomtables.cli.printing import as_json, echo
 from roomtables.cli.rebuilding import build_command
 from roomtables.errors import StoreError
+from roomtables.schemas import SENTENCE
+from roomtables.sentences import DEFAULT_TEMPLATE
 from roomtables.storage.checked import last_checked
 from roomtables.storage.removal import KEPT_VERSIONS
 from roomtables.storage.spaces import find_space
@@ -112,6 +114,8 @@ def _describe(version: Version, checked: datetime | None) -> dict[str, Any]:
         "scorer_id": manifest.scorer_id,
         "scores": str(manifest.settings.scores) if manifest.settings.scores else None,
         "query_scorer_id": manifest.query_scorer_id,
+        "template": list(manifest.settings.template),
+        "scored": manifest.settings.scored,
         "model": manifest.settings.model if manifest.query_scorer_id and asked else None,
         "strategy": manifest.model.get("strategy"),
         "objects": manifest.objects,
@@ -132,6 +136,9 @@ def _status_text(version: Version, found: Mapping[str, Any]) -> str:
         said["scorer_id"] = f"{manifest.scorer_id}: from the file of scores"
     if manifest.query_scorer_id and not any(manifest.combinations.values()):
         said["query_scorer_id"] = f"{manifest.query_scorer_id}: no query sentence is scored yet"
+    templates = " | ".join(found["template"])
+    said["template"] = None if templates == DEFAULT_TEMPLATE else templates
+    said["scored"] = None if found["scored"] == SENTENCE else found["scored"]
     said["checked"] = found["checked"] or "not since it was published"
     said["sources"] = ", ".join(found["sources"])
     rows = [{"what": key, "value": value} for key, value in said.items() if value is not None]

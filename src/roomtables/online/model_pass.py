@@ -106,7 +106,7 @@ class ModelPass:
         lookup, candidates = self._decider.lookup, self._decider.candidates
         labels = [ObjectLabel.named(name) for name in sorted(names)]
         rooms = (*lookup.rooms, *(room for room in candidates.rooms if room not in lookup.rooms))
-        scores = self._model.score([([label], rooms) for label in labels]) if labels else None
+        scores = self._model.score_singles(labels, rooms, lookup.rooms) if labels else None
         columns = [rooms.index(room) for room in candidates.rooms]
         ranked = {}
         for label, logits in zip(labels, scores or (), strict=True):
