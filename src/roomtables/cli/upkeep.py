@@ -23,6 +23,7 @@ from roomtables.cli.printing import as_json, echo
 from roomtables.cli.rebuilding import build_command
 from roomtables.errors import StoreError
 from roomtables.storage.checked import last_checked
+from roomtables.storage.origin import origin_of
 from roomtables.storage.removal import KEPT_VERSIONS
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import Version
@@ -103,11 +104,14 @@ def _hours(age: timedelta) -> str:
 def _describe(version: Version, checked: datetime | None) -> dict[str, Any]:
     manifest = version.manifest
     asked = manifest.extends_tables or any(manifest.combinations.values())
+    origin = origin_of(version)
     return {
         "labels": manifest.labels,
         "version": version.name,
         "created": manifest.created.isoformat(),
         "checked": checked.isoformat() if checked else None,
+        "pulled_from": origin.url if origin else None,
+        "pulled": origin.moment.isoformat() if origin else None,
         "age_hours": round(_age_of(manifest.created).total_seconds() / 3600, 2),
         "scorer_id": manifest.scorer_id,
         "scores": str(manifest.settings.scores) if manifest.settings.scores else None,
