@@ -10,6 +10,7 @@ import click
 
 from roomtables.cli.common import emit, format_option, labels_option, tables_option
 from roomtables.cli.printing import as_json, echo
+from roomtables.storage.export import WriteModel
 from roomtables.storage.places import shown
 from roomtables.storage.pulling import pull
 from roomtables.storage.pushing import KEPT_THERE, push
@@ -47,9 +48,11 @@ def push_command(
     Example:
       roomtables push s3://bucket/tables
     """
-    write_model = None
+    write_model: WriteModel | None = None
     if with_model:
-        from roomtables.offline.robot_model import write_robot_model as write_model
+        from roomtables.offline.robot_model import write_robot_model
+
+        write_model = write_robot_model
 
     started = time.monotonic()
     space = find_space(tables, labels).labels

@@ -154,9 +154,7 @@ class _Remote:
         except ImportError as error:
             lacks = getattr(error.__cause__, "name", None) or getattr(error, "name", None)
             package = (lacks or "a package of its own").partition(".")[0]
-            raise InputError(
-                f"{scheme}:// needs {package}; run `pip install {package}`"
-            ) from error
+            raise InputError(f"{scheme}:// needs {package}; run `pip install {package}`") from error
         except Exception as error:
             raise InputError(f"{shown(url)} cannot be opened: {first_line(error)}") from error
         return cls(system, root, url)

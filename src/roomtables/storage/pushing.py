@@ -3,7 +3,7 @@
 ::
 
     <url>/<label space>/CURRENT                the published version and its index's SHA-256
-    <url>/<label space>/versions/<name>.json   a version's index: its manifest, with every file's hash
+    <url>/<label space>/versions/<name>.json   its manifest, with every file's hash
     <url>/<label space>/files/<sha256>         contents, shared by versions
 """
 
