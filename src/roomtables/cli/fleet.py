@@ -10,6 +10,7 @@ import click
 
 from roomtables.cli.common import emit, format_option, labels_option, tables_option
 from roomtables.cli.printing import as_json, echo
+from roomtables.cli.progress import counted_bytes
 from roomtables.storage.export import WriteModel
 from roomtables.storage.places import shown
 from roomtables.storage.pulling import pull
@@ -56,7 +57,16 @@ def push_command(
 
     started = time.monotonic()
     space = find_space(tables, labels).labels
-    done = push(tables, space, url, all_files=all_files, write_model=write_model, keep=keep)
+    with counted_bytes("pushing") as progress:
+        done = push(
+            tables,
+            space,
+            url,
+            all_files=all_files,
+            write_model=write_model,
+            keep=keep,
+            progress=progress,
+        )
     seconds = time.monotonic() - started
     if format_ == "json":
         emit(as_json(asdict(done) | {"seconds": round(seconds, 3)}))
@@ -81,7 +91,9 @@ def pull_command(url: str, tables: Path, labels: str | None, format_: str) -> No
       roomtables pull s3://bucket/tables
     """
     started = time.monotonic()
-    done = pull(tables, find_space(tables, labels).labels, url)
+    space = find_space(tables, labels).labels
+    with counted_bytes("pulling") as progress:
+        done = pull(tables, space, url, progress)
     seconds = time.monotonic() - started
     if format_ == "json":
         emit(as_json(asdict(done) | {"seconds": round(seconds, 3)}))

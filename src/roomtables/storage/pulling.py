@@ -49,9 +49,14 @@ class Pulled:
 
 
 def pull(
-    tables: Path, labels: str, url: str, progress: Callable[[int], object] = lambda fetched: None
+    tables: Path,
+    labels: str,
+    url: str,
+    progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> Pulled:
     """Make the version that a place's pointer names the published one.
+
+    ``progress`` is called with the bytes just fetched or found here, and all that are needed.
 
     Raises
     ------
@@ -71,8 +76,10 @@ def pull(
     content, manifest = _index(place, labels, pointer, url)
     with build_lock(tables):
         space.path.mkdir(exist_ok=True)
-        job = _Fetching(place, space, url, progress)
-        found = {facts.sha256: job.fetch(facts) for facts in manifest.files.values()}
+        needed = {facts.sha256: facts for facts in manifest.files.values()}
+        total = sum(facts.bytes for facts in needed.values())
+        job = _Fetching(place, space, url, lambda done: progress(done, total))
+        found = {digest: job.fetch(facts) for digest, facts in needed.items()}
         version = _publish(space, pointer, content, manifest, found)
         note_origin(version, shown(url), utc_now())
         shutil.rmtree(space.path / FETCHED, ignore_errors=True)

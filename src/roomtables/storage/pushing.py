@@ -55,9 +55,11 @@ def push(
     all_files: bool = False,
     write_model: WriteModel | None = None,
     keep: int = KEPT_THERE,
-    progress: Callable[[int], object] = lambda sent: None,
+    progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> Pushed:
     """Send the published version of a label space to a place; what is there is not sent again.
+
+    ``progress`` is called with the bytes just sent or found there, and all that are needed.
 
     Raises
     ------
@@ -82,7 +84,9 @@ def push(
         moved = read_pointer(place, labels) != packed.pointer
         if moved:
             place.write(f"{labels}/{CURRENT}", packed.pointer.to_bytes())
-        again = _send(place, labels, packed, url, progress)  # what another push removed meanwhile
+        again = _send(
+            place, labels, packed, url, lambda done, total: None
+        )  # what another push removed meanwhile
     removed = remove_old_there(place, labels, keep)
     sent += again
     return Pushed(
@@ -126,13 +130,16 @@ def read_small(place: Place, name: str, most: int) -> bytes:
 
 
 def _send(
-    place: Place, labels: str, packed: Packed, url: str, progress: Callable[[int], object]
+    place: Place, labels: str, packed: Packed, url: str, progress: Callable[[int, int], object]
 ) -> list[FileFacts]:
     """Upload what is not there, and read it back; what was sent."""
     sent = {}
-    for name, facts in packed.files.items():
+    needed = {facts.sha256: (name, facts) for name, facts in packed.files.items()}
+    total = sum(facts.bytes for _, facts in needed.values())
+    for name, facts in needed.values():
         there = f"{labels}/{FILES}/{facts.sha256}"
-        if facts.sha256 in sent or place.size(there) == facts.bytes:
+        if place.size(there) == facts.bytes:
+            progress(facts.bytes, total)
             continue
         place.write(there, packed.places[name])
         digest = hashlib.sha256()
@@ -141,7 +148,7 @@ def _send(
         if digest.hexdigest() != facts.sha256:
             raise StoreError(f"{shown(url)}/{there} is not what was sent; push again")
         sent[facts.sha256] = facts
-        progress(facts.bytes)
+        progress(facts.bytes, total)
     return list(sent.values())
 
 

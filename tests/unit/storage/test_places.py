@@ -150,3 +150,18 @@ def test_a_place_is_no_folder():
         RoomTables.open("s3://b/t")
     with pytest.raises(InputError, match="is no URL"):
         pull(Path("tables"), "home", "somewhere")
+
+
+def test_progress_counts_every_byte_once(built, tmp_path):
+    url = f"file://{tmp_path}/place"
+    for run in (push, pull, push, pull):
+        calls = []
+        run(
+            built if run is push else tmp_path / "robot",
+            "home",
+            url,
+            progress=lambda *c, to=calls: to.append(c),
+        )
+        assert all(total == sum(done for done, _ in calls) for _, total in calls)
+        files = [path.stat().st_size for path in (tmp_path / "place/home/files").iterdir()]
+        assert sum(done for done, _ in calls) == sum(files) or (run is pull and not calls)
