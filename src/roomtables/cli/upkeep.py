@@ -25,6 +25,7 @@ from roomtables.errors import StoreError
 from roomtables.schemas import SENTENCE
 from roomtables.sentences import DEFAULT_TEMPLATE
 from roomtables.storage.checked import last_checked
+from roomtables.storage.origin import origin_of
 from roomtables.storage.removal import KEPT_VERSIONS
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import Version
@@ -105,11 +106,14 @@ def _hours(age: timedelta) -> str:
 def _describe(version: Version, checked: datetime | None) -> dict[str, Any]:
     manifest = version.manifest
     asked = manifest.extends_tables or any(manifest.combinations.values())
+    origin = origin_of(version)
     return {
         "labels": manifest.labels,
         "version": version.name,
         "created": manifest.created.isoformat(),
         "checked": checked.isoformat() if checked else None,
+        "pulled_from": origin.url if origin else None,
+        "pulled": origin.moment.isoformat() if origin else None,
         "age_hours": round(_age_of(manifest.created).total_seconds() / 3600, 2),
         "scorer_id": manifest.scorer_id,
         "scores": str(manifest.settings.scores) if manifest.settings.scores else None,

@@ -22,7 +22,7 @@ KEPT_VERSIONS = 2
 # Folders of a label space in which files are written aside at any time.
 _WRITTEN_INTO = (MISSES, EVALUATIONS, DATABASES)
 # A version that is being written, by the process's id, or removed, by the version's name.
-_HALF = re.compile(rf"{re.escape(STAGING)}\d+|{re.escape(REMOVING)}{NAME.pattern}")
+_HALF = re.compile(rf"\.pulling-files|{re.escape(STAGING)}\d+|{re.escape(REMOVING)}{NAME.pattern}")
 
 log = logging.getLogger(__name__)
 
