@@ -12,6 +12,8 @@ import transformers
 
 from roomtables.errors import ModelError
 from roomtables.lm import load_scorer
+from roomtables.lm.folders import EMBEDDED_FOLDER
+from roomtables.onnx_lm import OnnxScorer
 from roomtables.packing.tokens import first_counted
 from unit.lm.conftest import OBJECTS, ROOMS
 
@@ -22,7 +24,7 @@ STARTS = [sentence.index(":") for sentence in SENTENCES]
 def naive(folder: Path, sentence: str, start: int) -> tuple[float, int]:
     """Log probability of the tokens whose first visible character is at the start or behind it."""
     tokenizer = transformers.AutoTokenizer.from_pretrained(folder)
-    model = transformers.AutoModelForCausalLM.from_pretrained(folder).eval()
+    model = transformers.AutoModelForCausalLM.from_pretrained(folder, dtype=torch.float32).eval()
     encoded = tokenizer(sentence, return_offsets_mapping=True)
     ids = encoded["input_ids"]
     with torch.no_grad():
@@ -47,6 +49,55 @@ def test_only_tokens_behind_the_start_count(
         log_prob, count = naive(folder, SENTENCES[at], STARTS[at])
         assert scores[at].log_prob == pytest.approx(log_prob, abs=1e-4)
         assert scores[at].token_count == count
+
+
+def masked(folder: Path, sentence: str, start: int, within_words: bool) -> tuple[float, int]:
+    """Pseudo-log-likelihood of the same tokens, each masked in a copy of its own."""
+    tokenizer = transformers.AutoTokenizer.from_pretrained(folder)
+    model = transformers.AutoModelForMaskedLM.from_pretrained(folder).eval()
+    encoded = tokenizer(sentence, return_offsets_mapping=True)
+    ids, words = encoded["input_ids"], encoded.word_ids()
+    total, count = 0.0, 0
+    for place, (begin, end) in enumerate(encoded["offset_mapping"]):
+        piece = sentence[begin:end]
+        if words[place] is None or begin + len(piece) - len(piece.lstrip()) < start:
+            continue
+        hidden = [
+            at == place or (within_words and at > place and words[at] == words[place])
+            for at in range(len(ids))
+        ]
+        copy = [tokenizer.mask_token_id if h else i for h, i in zip(hidden, ids, strict=True)]
+        with torch.no_grad():
+            row = model(torch.tensor([copy])).logits[0, place].double().log_softmax(-1)
+        total += float(row[ids[place]])
+        count += 1
+    return total, count
+
+
+@pytest.mark.parametrize("architecture", ["bert", "roberta"])
+@pytest.mark.parametrize("scoring", ["pll", "pll_word_l2r"])
+def test_masked_models_score_only_tokens_behind_the_start(
+    architecture: str, scoring: str, model_folder: Callable[[str], Path]
+) -> None:
+    folder = model_folder(architecture)
+    asked = range(0, len(SENTENCES), 5)
+    scores = load_scorer(str(folder), scoring=scoring).score(
+        [SENTENCES[at] for at in asked], [STARTS[at] for at in asked]
+    )
+    for score, at in zip(scores, asked, strict=True):
+        log_prob, count = masked(folder, SENTENCES[at], STARTS[at], scoring == "pll_word_l2r")
+        assert score.log_prob == pytest.approx(log_prob, abs=1e-4)
+        assert score.token_count == count
+
+
+def test_onnx_scores_only_tokens_behind_the_start() -> None:
+    sentences = [f"In a {room} there are {thing}." for room in ROOMS for thing in OBJECTS][:8]
+    starts = [sentence.index(" there") for sentence in sentences]
+    scores = OnnxScorer.open(EMBEDDED_FOLDER).score(sentences, starts)
+    for score, sentence, start in zip(scores, sentences, starts, strict=True):
+        log_prob, count = naive(EMBEDDED_FOLDER, sentence, start)
+        assert score.log_prob == pytest.approx(log_prob, abs=1e-3)
+        assert score.token_count == count
 
 
 def test_one_sentence_with_two_starts_has_two_scores(model_folder: Callable[[str], Path]) -> None:
