@@ -33,7 +33,8 @@ from roomtables.offline import (  # noqa: F401  (once, before the forks)
     upkeep,
 )
 from roomtables.storage.checked import last_checked
-from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import Misses
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import MANIFEST, SpaceFolder
 from support import HashScorer, write_space

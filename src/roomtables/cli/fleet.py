@@ -11,10 +11,14 @@ import click
 from roomtables.cli.common import emit, format_option, labels_option, tables_option
 from roomtables.cli.printing import as_json, echo
 from roomtables.cli.progress import counted_bytes
+from roomtables.online.classifier import RoomTables
 from roomtables.storage.export import WriteModel
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import SENT_NOTE, Misses
 from roomtables.storage.places import shown
 from roomtables.storage.pulling import pull
 from roomtables.storage.pushing import KEPT_THERE, push
+from roomtables.storage.sent_misses import send_misses
 from roomtables.storage.spaces import find_space
 
 
@@ -22,6 +26,7 @@ from roomtables.storage.spaces import find_space
 @click.argument("url")
 @click.option("--all", "all_files", is_flag=True, help="The Parquet tables, too.")
 @click.option("--with-model", is_flag=True, help="The model, too, in ONNX.")
+@click.option("--misses", is_flag=True, help="What was asked for here in vain, instead of tables.")
 @click.option(
     "--keep",
     type=click.IntRange(min=1),
@@ -36,6 +41,7 @@ def push_command(
     url: str,
     all_files: bool,
     with_model: bool,
+    misses: bool,
     keep: int,
     tables: Path,
     labels: str | None,
@@ -43,12 +49,19 @@ def push_command(
 ) -> None:
     """Send the published tables to a place, such as s3://bucket/tables or file:///mnt/tables.
 
-    Only what is not there is sent; the place's pointer moves last.
+    Only what is not there is sent; the place's pointer moves last. With --misses a robot sends home
+    which combinations no table held; `build --misses-from` takes them in.
 
     \b
     Example:
       roomtables push s3://bucket/tables
+      roomtables push s3://bucket/tables --misses
     """
+    if misses:
+        if all_files or with_model:
+            raise click.UsageError("--misses sends no tables: leave out --all and --with-model")
+        _push_misses(url, tables, find_space(tables, labels).labels, format_)
+        return
     write_model: WriteModel | None = None
     if with_model:
         from roomtables.offline.robot_model import write_robot_model
@@ -78,6 +91,19 @@ def push_command(
     )
 
 
+def _push_misses(url: str, tables: Path, labels: str, format_: str) -> None:
+    done = send_misses(tables, labels, url)
+    if format_ == "json":
+        emit(as_json(done._asdict()))
+    elif done.combinations:
+        echo(
+            f"pushed {done.combinations:,} misses of {labels} to {shown(url)}: {done.files} files, "
+            f"{_size(done.bytes)} sent"
+        )
+    else:
+        echo(f"nothing new: no misses of {labels} since the last push to {shown(url)}")
+
+
 @click.command("pull")
 @click.argument("url")
 @tables_option
@@ -94,17 +120,34 @@ def pull_command(url: str, tables: Path, labels: str | None, format_: str) -> No
     space = find_space(tables, labels).labels
     with counted_bytes("pulling") as progress:
         done = pull(tables, space, url, progress)
+    answered, asked = _answered(tables, space) if done.new else (0, 0)
     seconds = time.monotonic() - started
     if format_ == "json":
-        emit(as_json(asdict(done) | {"seconds": round(seconds, 3)}))
+        counted = {"misses": asked, "misses_answered": answered} if done.new else {}
+        emit(as_json(asdict(done) | counted | {"seconds": round(seconds, 3)}))
     elif done.new:
         echo(
             f"pulled {done.labels} {done.version} from {shown(url)}: {done.files} files, "
             f"{_size(done.bytes_fetched)} fetched, {_size(done.bytes_here)} already here, "
             f"{seconds:.1f} s"
         )
+        if asked:
+            echo(f"of {asked:,} combinations asked for here in vain, {answered:,} are answered now")
     else:
         echo(f"nothing new: {done.labels} {done.version} from {shown(url)}, {seconds:.1f} s")
+
+
+def _answered(tables: Path, labels: str) -> tuple[int, int]:
+    """How many of the combinations that were asked for here in vain the tables hold now; of all."""
+    misses = Misses.read(tables / labels / FOLDER, SENT_NOTE)
+    asked = misses.taken | {(miss.source, miss.objects) for miss in misses.open}
+    opened = RoomTables.open(tables, labels, offline=True, note_misses=False)
+    answered = 0
+    for source in {source for source, _ in asked} & {*opened.lookup.sources}:
+        rooms = [objects for of, objects in asked if of == source]
+        deciding = opened.deciding(rule="query", source=source, backoff=False)
+        answered += sum(found.answered_by == "table" for found in deciding.classify_many(rooms))
+    return answered, len(asked)
 
 
 def _size(size: int) -> str:

@@ -23,7 +23,7 @@ from roomtables.online.model import QueryModel
 from roomtables.online.prediction import LM, NONE, TABLE, Prediction
 from roomtables.online.ranks import ABSENT, RankedRooms
 from roomtables.schemas import PROXY
-from roomtables.storage.misses import MissLog
+from roomtables.storage.miss_log import MissLog
 
 # Limits on what one room may ask of the model; what is beyond them stays unknown.
 _LONGEST_NAME = 100  # bytes, each of which may be a token

@@ -79,6 +79,22 @@ def shown(url: str) -> str:
     return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}".rstrip("/")
 
 
+def read_small(place: Place, name: str, most: int) -> bytes:
+    """A file of a place, of so many bytes at most.
+
+    Raises
+    ------
+    StoreError
+        It is larger, or cannot be read.
+    """
+    content = b""
+    for chunk in place.read(name):
+        content += chunk
+        if len(content) > most:
+            raise StoreError(f"{name} of the place is larger than {most} bytes")
+    return content
+
+
 class _Folder:
     """A folder of this machine: files are written aside, flushed, and renamed into place."""
 
@@ -168,9 +184,12 @@ class _Remote:
 
     def read(self, name: str, start: int = 0) -> Iterator[bytes]:
         file = self._try(name, lambda: self._opened(name, start))
-        with suppress_close(file):
+        try:
             while chunk := self._try(name, lambda: file.read(CHUNK), 1):
                 yield chunk
+        finally:
+            with suppress(Exception):  # it comes too late to matter
+                file.close()
 
     def _opened(self, name: str, start: int) -> Any:
         file = self._system.open(self._path(name), "rb", cache_type="none")
@@ -240,20 +259,6 @@ class _Remote:
                     raise StoreError(f"{where}: {first_line(error)}; try again later") from error
                 time.sleep(0.5 * 2**attempt)
         raise AssertionError(attempts)
-
-
-class suppress_close:  # noqa: N801  (reads like contextlib's)
-    """Close a file of a place; what that raises comes too late to matter."""
-
-    def __init__(self, file: Any) -> None:
-        self._file = file
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *raised: object) -> None:
-        with suppress(Exception):
-            self._file.close()
 
 
 def _within(seconds: float, call: Callable[[], Found], where: str) -> Found:

@@ -22,8 +22,8 @@ from roomtables.storage.files import build_lock, refuse_links, utc_now, write_as
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError
 from roomtables.storage.origin import note_origin
-from roomtables.storage.places import Place, open_place, shown
-from roomtables.storage.pushing import FILES, VERSIONS, read_pointer, read_small
+from roomtables.storage.places import Place, open_place, read_small, shown
+from roomtables.storage.pushing import FILES, VERSIONS, read_pointer
 from roomtables.storage.removal import remove_left, remove_old
 from roomtables.storage.versions import LOOKUP, Pointer, SpaceFolder, Version
 

@@ -22,7 +22,7 @@ from roomtables.storage.export import WriteModel
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError
 from roomtables.storage.packed import Packed
-from roomtables.storage.places import MissingError, Place, open_place, shown
+from roomtables.storage.places import MissingError, Place, open_place, read_small, shown
 from roomtables.storage.scratch import scratch
 from roomtables.storage.versions import CURRENT, LOOKUP, NAME, Pointer, SpaceFolder
 
@@ -111,22 +111,6 @@ def read_pointer(place: Place, labels: str) -> Pointer | None:
     if not NAME.fullmatch(pointer.name) or not whole:
         raise StoreError(f"{labels}/{CURRENT} of the place names no version; push again")
     return pointer
-
-
-def read_small(place: Place, name: str, most: int) -> bytes:
-    """A file of a place, of so many bytes at most.
-
-    Raises
-    ------
-    StoreError
-        It is larger, or cannot be read.
-    """
-    content = b""
-    for chunk in place.read(name):
-        content += chunk
-        if len(content) > most:
-            raise StoreError(f"{name} of the place is larger than {most} bytes")
-    return content
 
 
 def _send(

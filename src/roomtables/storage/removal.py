@@ -15,7 +15,7 @@ from roomtables.storage.aside import REMOVING, asides, remove_abandoned, remove_
 from roomtables.storage.client_databases import FOLDER as DATABASES
 from roomtables.storage.evaluations import FOLDER as EVALUATIONS
 from roomtables.storage.files import is_held, refuse_outside, writing
-from roomtables.storage.misses import FOLDER as MISSES
+from roomtables.storage.miss_log import FOLDER as MISSES
 from roomtables.storage.versions import MANIFEST, NAME, STAGING, SpaceFolder
 
 KEPT_VERSIONS = 2
