@@ -133,7 +133,8 @@ class BuildConfig:
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 allowed = ", ".join(str(choice) for choice in choices if choice)
-                raise ConfigError(f"{name} must be one of {allowed}, not {getattr(self, name)!r}")
+                found = repr(getattr(self, name))[:80]
+                raise ConfigError(f"{name} must be one of {allowed}, not {found}")
         if not 1 <= self.k <= 8:
             raise ConfigError(f"k must be from 1 to 8, not {self.k}")
         if self.smoothing is not None and not 0 <= self.smoothing < float("inf"):

@@ -35,6 +35,7 @@ def test_options_win_over_the_file_and_the_file_over_defaults(tmp_path):
         ("colour = 1", "unknown key `colour`"),
         ("x" * 5000 + " = 1", "unknown key `x{40}`$"),
         ("reduction = 'median'", "reduction must be one of sum, mean"),
+        (f"rule = '{'x' * 5000}'", "rule must be one of .*, not 'x{79}$"),
         ("smoothing = -1", "smoothing"),
         ("smoothing = nan", "smoothing"),
         ("smoothing = " + "9" * 400, "`smoothing` must be at most"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,9 @@ class OnnxScorer:
         """
         path = Path(path)
         path = path / MODEL_FILE if path.is_dir() else path
+        # ONNX Runtime's own packages tell their maker of every session, from version 1.29 on, and
+        # leave a file in the temporary folder, unless told not to before they are imported.
+        os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
         try:
             import onnxruntime
             from tokenizers import Tokenizer
