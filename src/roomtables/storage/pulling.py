@@ -13,17 +13,19 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from roomtables.errors import StoreError
 from roomtables.limits import JSON_BYTES
+from roomtables.storage.checked import note_checked
 from roomtables.storage.client_databases import write_anew
 from roomtables.storage.files import build_lock, refuse_links, utc_now, write_aside, writing
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError
 from roomtables.storage.origin import note_origin
 from roomtables.storage.places import Place, open_place, read_small, shown
-from roomtables.storage.pushing import FILES, VERSIONS, read_pointer
+from roomtables.storage.pushing import FILES, VERSIONS, read_checked, read_pointer
 from roomtables.storage.removal import remove_left, remove_old
 from roomtables.storage.versions import LOOKUP, Pointer, SpaceFolder, Version
 
@@ -71,7 +73,10 @@ def pull(
             f"no tables for {labels} at {shown(url)}; name others with `--labels`, or run "
             f"`roomtables push {shown(url)}` where they are built"
         )
+    checked = read_checked(place, labels, pointer.name)
     if _is_here(space, pointer):
+        with build_lock(tables):
+            _settle(space, url, checked)
         return Pulled(labels, pointer.name, False, 0, 0, 0)
     content, manifest = _index(place, labels, pointer, url)
     with build_lock(tables):
@@ -80,13 +85,20 @@ def pull(
         total = sum(facts.bytes for facts in needed.values())
         job = _Fetching(place, space, url, lambda done: progress(done, total))
         found = {digest: job.fetch(facts) for digest, facts in needed.items()}
-        version = _publish(space, pointer, content, manifest, found)
-        note_origin(version, shown(url), utc_now())
-        shutil.rmtree(space.path / FETCHED, ignore_errors=True)
-        remove_left(space)
-        remove_old(space)
-        write_anew(tables)
+        _publish(space, pointer, content, manifest, found)
+        _settle(space, url, checked)
     return Pulled(labels, pointer.name, True, len(manifest.files), job.fetched, job.here)
+
+
+def _settle(space: SpaceFolder, url: str, checked: datetime | None) -> None:
+    """What follows a switch, and a pull that finds nothing new: one before may have been killed."""
+    version = space.current()
+    note_origin(version, shown(url), utc_now())
+    if checked is not None:
+        note_checked(version, checked)
+    remove_left(space)
+    remove_old(space)
+    write_anew(space.path.parent)
 
 
 def _is_here(space: SpaceFolder, pointer: Pointer) -> bool:
