@@ -32,7 +32,8 @@ from roomtables.storage.export import WriteModel
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError
 from roomtables.storage.packed import Packed
-from roomtables.storage.places import MissingError, Place, open_place, read_small, shown
+from roomtables.storage.place import PATIENCE, MissingError, Patience, Place, read_small, shown
+from roomtables.storage.places import open_place
 from roomtables.storage.scratch import scratch
 from roomtables.storage.versions import CURRENT, LOOKUP, NAME, Pointer, SpaceFolder, Version
 
@@ -66,6 +67,7 @@ def push(
     all_files: bool = False,
     write_model: WriteModel | None = None,
     keep: int = KEPT_THERE,
+    patience: Patience = PATIENCE,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> Pushed:
     """Send the published version of a label space to a place; what is there is not sent again.
@@ -79,7 +81,7 @@ def push(
     """
     version = SpaceFolder(tables, labels).current()
     version.verify()
-    place = open_place(url)
+    place = open_place(url, patience)
     with ExitStack() as stack:
         model = None
         if write_model is not None:
