@@ -66,11 +66,17 @@ class FsspecPlace:
         yield from paced(self._chunks(name, start), f"{self._url}/{name}", self._patience)
 
     def _chunks(self, name: str, start: int) -> Iterator[bytes]:
-        file = self._try(name, lambda: self._system.open(self._path(name), cache_type="none"))
-        try:
+        def begin() -> tuple[Any, bytes]:
+            file = self._system.open(self._path(name), cache_type="none")
             file.seek(start)
-            while chunk := self._try(name, lambda: file.read(CHUNK), 1, CHUNK):
+            return file, file.read(CHUNK)
+
+        # As one: it may be written anew between the two, which some libraries refuse to read.
+        file, chunk = self._try(name, begin, size=CHUNK)
+        try:
+            while chunk:
                 yield chunk
+                chunk = self._try(name, lambda: file.read(CHUNK), 1, CHUNK)
         finally:
             with suppress(Exception):  # it comes too late to matter
                 file.close()
@@ -79,15 +85,35 @@ class FsspecPlace:
         path = self._path(name)
 
         def put() -> None:
-            with suppress(NotImplementedError):
-                self._system.makedirs(path.rpartition("/")[0], exist_ok=True)
             if isinstance(source, bytes):
                 self._system.pipe_file(path, source)
             else:
                 self._system.put_file(str(source), path)
 
+        def put_into_folder() -> None:
+            try:
+                put()
+            except FileNotFoundError:
+                self._make_folders(name)
+                put()
+
         size = len(source) if isinstance(source, bytes) else source.stat().st_size
-        self._try(name, put, size=size)
+        try:
+            self._try(name, put_into_folder, size=size)
+        except MissingError as error:
+            raise StoreError(
+                f"{self._url} cannot be written: there is no such bucket or folder; make it, then "
+                "push again"
+            ) from error
+
+    def _make_folders(self, name: str) -> None:
+        """The folders of a file, where a place has such; never a bucket, whose name may be a slip
+        of the hand."""
+        levels = [self._root, *(self._path(folder) for folder in _folders(name))]
+        for folder in levels:
+            if "/" in folder:
+                with suppress(FileExistsError, NotImplementedError):
+                    self._system.mkdir(folder, create_parents=False)
 
     def names(self, folder: str) -> list[str]:
         try:
@@ -115,3 +141,9 @@ class FsspecPlace:
     ) -> Found:
         """Call what answers in the time that so many bytes may take."""
         return tried(call, f"{self._url}/{name}", self._patience.of(size), attempts)
+
+
+def _folders(name: str) -> list[str]:
+    """The folders that a name is in, outermost first."""
+    parts = name.split("/")[:-1]
+    return ["/".join(parts[: end + 1]) for end in range(len(parts))]

@@ -27,11 +27,13 @@ def built(tmp_path):
     return tables
 
 
-@pytest.fixture(params=["file", "memory"])
+@pytest.fixture(params=["file", "memory", "local"])
 def url(request, tmp_path):
     if request.param == "file":
         return f"file://{tmp_path}/place"
     pytest.importorskip("fsspec")
+    if request.param == "local":  # fsspec's own, with folders that are to be made
+        return f"local://{tmp_path}/place"
     return f"memory://{tmp_path.name}"
 
 
