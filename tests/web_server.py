@@ -124,6 +124,13 @@ class Handler(BaseHTTPRequestHandler):
         self.head(len(content) - 1)
         self.body(content[1:])
 
+    def tell_no_length(self, content: bytes) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "many")
+        self.send_header("Content-Range", f"bytes {'9' * 5000}-")
+        self.end_headers()
+        self.body(content[:-2])
+
     def speak_no_http(self, content: bytes) -> None:
         self.wfile.write(b"\x00\xff" * 500)
 

@@ -32,7 +32,7 @@ class FolderPlace:
             try:
                 file = path.open("rb")
             except (FileNotFoundError, NotADirectoryError):
-                raise MissingError(f"there is no {path}") from None
+                raise MissingError(f"there is no {path}; push again") from None
             with file:
                 file.seek(start)
                 while chunk := file.read(CHUNK):

@@ -122,7 +122,7 @@ def tried(call: Callable[[], Found], where: str, seconds: float, attempts: int =
         except StoreError:
             raise
         except FileNotFoundError as error:
-            raise MissingError(f"there is no {where}") from error
+            raise MissingError(f"there is no {where}; push again") from error
         except Exception as error:  # of any library
             if _is_lasting(error) or attempt == attempts - 1:
                 reason = getattr(error, "reason", None)  # of urllib

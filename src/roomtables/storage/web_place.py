@@ -41,25 +41,18 @@ class WebPlace:
         self._login = "" if login == ":" else base64.b64encode(login.encode()).decode()
 
     def read(self, name: str, start: int = 0) -> Iterator[bytes]:
-        yield from paced(self._chunks(name, start), f"{self._url}/{name}", self._patience)
-
-    def _chunks(self, name: str, start: int) -> Iterator[bytes]:
-        where, seconds = f"{self._url}/{name}", self._patience.seconds
-        response = tried(lambda: self._get(name, start), where, seconds)
+        where, patience = f"{self._url}/{name}", self._patience
+        response = tried(lambda: self._get(name, start), where, patience.seconds)
         if response is None:
             return
         with closing(response):
-            skip = start if response.status == 200 else 0
-            sent = re.match(r"bytes (\d+)-", response.headers.get("Content-Range") or "")
+            skip = start if response.status == 200 else 0  # a server that knows no ranges
+            sent = re.match(r"bytes (\d{1,18})-", response.headers.get("Content-Range") or "")
             if start and not skip and (sent is None or int(sent[1]) != start):
                 raise StoreError(f"{where}: the server sends another part than was asked for")
-            left = int(response.headers.get("Content-Length") or -1)
-            while chunk := tried(lambda: response.read1(CHUNK), where, seconds, 1):
-                left -= len(chunk)
+            for chunk in paced(_chunks(response, where, patience.seconds), where, patience):
                 yield chunk[skip:]
                 skip = max(skip - len(chunk), 0)
-            if left > 0:
-                raise StoreError(f"{where} is cut: {left:,} bytes are missing; try again later")
 
     def _get(self, name: str, start: int) -> HTTPResponse | None:
         """The answer to a request for a file from a byte on; ``None`` where it ends before."""
@@ -108,3 +101,19 @@ class WebPlace:
             f"{self._url} is a web server: tables are pulled from it; push to the folder that it "
             "serves, by file://"
         )
+
+
+def _chunks(response: HTTPResponse, where: str, seconds: float) -> Iterator[bytes]:
+    """The content of an answer, as it comes.
+
+    Raises
+    ------
+    StoreError
+        It ends before its length, or nothing comes for so many seconds.
+    """
+    left = -1 if response.length is None else response.length
+    while chunk := tried(lambda: response.read1(CHUNK), where, seconds, 1):
+        left -= len(chunk)
+        yield chunk
+    if left > 0:
+        raise StoreError(f"{where} is cut: {left:,} bytes are missing; try again later")

@@ -70,7 +70,7 @@ def test_tables_arrive_whole(built, server, tmp_path, ranges):
 FAULTS = [
     Handler.cut, Handler.stall, Handler.stall_at_once, Handler.drip, Handler.drip_in_the_head,
     Handler.fail, Handler.miss, Handler.forbid, Handler.shorten, Handler.swap,
-    Handler.speak_no_http, Handler.redirect_elsewhere,
+    Handler.tell_no_length, Handler.speak_no_http, Handler.redirect_elsewhere,
 ]  # fmt: skip
 
 
