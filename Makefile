@@ -28,7 +28,8 @@ ROBOT   := $(VENV)/py310
 ROBOT_TESTS := tests/robot tests/unit/scenes $(wildcard tests/unit/test_csv_rows.py \
   tests/unit/test_english.py tests/unit/test_labels.py tests/unit/test_limits.py \
   tests/unit/test_names.py tests/unit/test_rooms.py tests/unit/test_sentences.py \
-  tests/unit/storage/test_misses.py)
+  tests/unit/storage/test_misses.py tests/unit/storage/test_places.py \
+  tests/unit/storage/test_sent_misses.py tests/unit/storage/test_web_place.py)
 
 .PHONY: demo pictures test test-robot test-on-3.10 wheel test-slow test-faults test-real-lm test-object-store lint household-lm clean
 
