@@ -11,6 +11,7 @@ import tomllib  # noqa: F401
 import tqdm  # noqa: F401
 
 import fault_commands  # noqa: F401
+import roomtables.cli.fleet
 import roomtables.storage.export  # noqa: F401
 
 gc.collect()

@@ -15,11 +15,19 @@ from roomtables.online.classifier import RoomTables
 from roomtables.storage.export import WriteModel
 from roomtables.storage.miss_log import FOLDER
 from roomtables.storage.misses import SENT_NOTE, Misses
-from roomtables.storage.places import shown
+from roomtables.storage.place import PATIENCE, shown
 from roomtables.storage.pulling import pull
-from roomtables.storage.pushing import KEPT_THERE, push
-from roomtables.storage.sent_misses import send_misses
+from roomtables.storage.pushing import KEPT_THERE, Pushed, push
+from roomtables.storage.sent_misses import SentMisses, send_misses
 from roomtables.storage.spaces import find_space
+
+timeout_option = click.option(
+    "--timeout",
+    type=click.FloatRange(min=0.1),
+    default=PATIENCE.seconds,
+    show_default=True,
+    help="Seconds without an answer after which to give up.",
+)
 
 
 @click.command("push")
@@ -34,6 +42,7 @@ from roomtables.storage.spaces import find_space
     show_default=True,
     help="Versions to keep at the place.",
 )
+@timeout_option
 @tables_option
 @labels_option
 @format_option("table", "json")
@@ -43,6 +52,7 @@ def push_command(
     with_model: bool,
     misses: bool,
     keep: int,
+    timeout: float,
     tables: Path,
     labels: str | None,
     format_: str,
@@ -57,11 +67,11 @@ def push_command(
       roomtables push s3://bucket/tables
       roomtables push s3://bucket/tables --misses
     """
-    space = find_space(tables, labels).labels
-    if misses and (all_files or with_model):
-        raise click.UsageError("--misses sends no tables: leave out --all and --with-model")
+    space, patience = find_space(tables, labels).labels, PATIENCE._replace(seconds=timeout)
     if misses:
-        _push_misses(url, tables, space, format_)
+        if all_files or with_model:
+            raise click.UsageError("--misses sends no tables: leave out --all and --with-model")
+        _say_misses(send_misses(tables, space, url, patience), url, format_)
         return
     started = time.monotonic()
     with counted_bytes("pushing") as progress:
@@ -70,11 +80,21 @@ def push_command(
             space,
             url,
             all_files=all_files,
-            write_model=_robot_model() if with_model else None,
+            write_model=_model_writer() if with_model else None,
             keep=keep,
+            patience=patience,
             progress=progress,
         )
-    seconds = time.monotonic() - started
+    _say_pushed(done, url, time.monotonic() - started, format_)
+
+
+def _model_writer() -> WriteModel:
+    from roomtables.offline.robot_model import write_robot_model
+
+    return write_robot_model
+
+
+def _say_pushed(done: Pushed, url: str, seconds: float, format_: str) -> None:
     if format_ == "json":
         emit(as_json(asdict(done) | {"seconds": round(seconds, 3)}))
         return
@@ -85,31 +105,25 @@ def push_command(
     )
 
 
-def _robot_model() -> WriteModel:
-    from roomtables.offline.robot_model import write_robot_model
-
-    return write_robot_model
-
-
-def _push_misses(url: str, tables: Path, labels: str, format_: str) -> None:
-    done = send_misses(tables, labels, url)
+def _say_misses(done: SentMisses, url: str, format_: str) -> None:
     if format_ == "json":
         emit(as_json(done._asdict()))
     elif done.combinations:
         echo(
-            f"pushed {done.combinations:,} misses of {labels} to {shown(url)}: {done.files} files, "
-            f"{_size(done.bytes)} sent"
+            f"pushed {done.combinations:,} misses of {done.labels} to {shown(url)}: "
+            f"{done.files} files, {_size(done.bytes)} sent"
         )
     else:
-        echo(f"nothing new: no misses of {labels} since the last push to {shown(url)}")
+        echo(f"nothing new: no misses of {done.labels} since the last push to {shown(url)}")
 
 
 @click.command("pull")
 @click.argument("url")
+@timeout_option
 @tables_option
 @labels_option
 @format_option("table", "json")
-def pull_command(url: str, tables: Path, labels: str | None, format_: str) -> None:
+def pull_command(url: str, timeout: float, tables: Path, labels: str | None, format_: str) -> None:
     """Fetch the tables that a place publishes, verify every byte, and publish them here.
 
     \b
@@ -119,7 +133,7 @@ def pull_command(url: str, tables: Path, labels: str | None, format_: str) -> No
     started = time.monotonic()
     space = find_space(tables, labels).labels
     with counted_bytes("pulling") as progress:
-        done = pull(tables, space, url, progress)
+        done = pull(tables, space, url, progress, PATIENCE._replace(seconds=timeout))
     answered, asked = _answered(tables, space) if done.new else (0, 0)
     seconds = time.monotonic() - started
     if format_ == "json":

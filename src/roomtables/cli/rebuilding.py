@@ -1,4 +1,4 @@
-"""The command that makes published tables again: what advice names."""
+"""The commands that make published tables again, or fetch them: what advice names."""
 
 from __future__ import annotations
 
@@ -30,3 +30,8 @@ def build_command(tables: Path, manifest: Manifest) -> str:
     if Path(settings.combinations).suffix:  # a file; `all` and `misses` are what `auto` came to
         words += ["--combinations", settings.combinations]
     return shlex.join(words)
+
+
+def pull_command(url: str, tables: Path, labels: str) -> str:
+    """`roomtables pull` for tables that were pulled."""
+    return shlex.join(["roomtables", "pull", url, "--tables", str(tables), "--labels", labels])

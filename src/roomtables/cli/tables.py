@@ -25,8 +25,7 @@ from roomtables.schemas import REDUCTIONS
 from roomtables.scorer import DTYPES, SCORINGS
 from roomtables.storage.miss_log import FOLDER
 from roomtables.storage.misses import Misses
-from roomtables.storage.places import shown
-from roomtables.storage.sent_misses import fetch_misses
+from roomtables.storage.sent_misses import FetchedMisses, fetch_misses
 from roomtables.storage.spaces import find_space
 
 if TYPE_CHECKING:
@@ -99,12 +98,16 @@ def build_command(
         from roomtables.offline.builder import build
 
     found = BuildConfig.load(config, **options)
-    if misses_from is not None:
-        _fetch_misses(found, tables, misses_from)
+    fetched = None if misses_from is None else _fetch_misses(found, tables, misses_from)
     report = build(found, tables=tables, progress=sys.stderr.isatty(), wait=wait)
     if format_ == "json":
-        emit(as_json(report.as_json()))
+        counted = (
+            {f"misses_{key}": value for key, value in fetched._asdict().items()} if fetched else {}
+        )
+        emit(as_json(report.as_json() | counted))
         return
+    if fetched and (fetched.files or fetched.skipped):
+        echo(f"took in {fetched.files} files of misses, {fetched.skipped} skipped")
     done = "published" if report.published else "up to date:"
     echo(
         f"{done} {report.labels} {report.version} in {tables}: "
@@ -113,15 +116,11 @@ def build_command(
     )
 
 
-def _fetch_misses(config: BuildConfig, tables: Path, url: str) -> None:
+def _fetch_misses(config: BuildConfig, tables: Path, url: str) -> FetchedMisses:
     """Bring what robots asked for in vain into the tables folder, for the build to read."""
     if config.combinations == NONE:
         raise click.UsageError("--misses-from asks for combinations: leave out --combinations none")
-    done = fetch_misses(tables, labels_name(config.labels), url)
-    if done.files or done.skipped:
-        click.echo(
-            f"fetched {done.files} files of misses, {done.skipped} skipped: {shown(url)}", err=True
-        )
+    return fetch_misses(tables, labels_name(config.labels), url)
 
 
 @click.command("plan")

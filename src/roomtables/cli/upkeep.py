@@ -20,7 +20,7 @@ from roomtables.cli.common import (
     tables_option,
 )
 from roomtables.cli.printing import as_json, echo
-from roomtables.cli.rebuilding import build_command
+from roomtables.cli.rebuilding import build_command, pull_command
 from roomtables.errors import StoreError
 from roomtables.schemas import SENTENCE
 from roomtables.sentences import DEFAULT_TEMPLATE
@@ -88,10 +88,14 @@ def _check_age(
             "see what the clock says (`date -u`)"
         )
     if age > max_age:
+        asked, command = "", build_command(tables, version.manifest)
+        if origin := origin_of(version):
+            asked = f" ({origin.url} was last asked {origin.asked.isoformat()})"
+            command = pull_command(origin.url, tables, version.manifest.labels)
         raise StoreError(
             f"no build has published {version.path} or found it up to date for {_hours(age)} h, "
-            f"more than {_hours(max_age)} h; see the log of the timer that should, or run "
-            f"`{build_command(tables, version.manifest)}`"
+            f"more than {_hours(max_age)} h{asked}; see the log of the timer that should, or run "
+            f"`{command}`"
         )
 
 
@@ -113,7 +117,8 @@ def _describe(version: Version, checked: datetime | None) -> dict[str, Any]:
         "created": manifest.created.isoformat(),
         "checked": checked.isoformat() if checked else None,
         "pulled_from": origin.url if origin else None,
-        "pulled": origin.moment.isoformat() if origin else None,
+        "pulled": origin.pulled.isoformat() if origin else None,
+        "last_pull": origin.asked.isoformat() if origin else None,
         "age_hours": round(_age_of(manifest.created).total_seconds() / 3600, 2),
         "scorer_id": manifest.scorer_id,
         "scores": str(manifest.settings.scores) if manifest.settings.scores else None,

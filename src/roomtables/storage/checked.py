@@ -3,6 +3,8 @@
 ::
 
     2026-11-25T02:31:07+00:00 000001-84b9ad9d
+
+It travels with the tables: where they were pulled, it says what the machine that builds found.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from roomtables.storage.files import refuse_outside, write_aside
 from roomtables.storage.versions import Version
 
 CHECKED = "CHECKED"
-_LINE_BYTES = 300
+LINE_BYTES = 300
 
 
 def note_checked(version: Version, moment: datetime) -> None:
@@ -28,7 +30,25 @@ def note_checked(version: Version, moment: datetime) -> None:
     space = version.path.parent
     path = space / CHECKED
     refuse_outside(space.parent, space, path)
-    write_aside(path, f"{moment.isoformat(timespec='seconds')} {version.name}\n".encode())
+    write_aside(path, checked_line(version.name, moment))
+
+
+def checked_line(name: str, moment: datetime) -> bytes:
+    """What ``CHECKED`` says of the version of a name."""
+    return f"{moment.isoformat(timespec='seconds')} {name}\n".encode()
+
+
+def parse_checked(line: bytes, name: str) -> datetime | None:
+    """When the version of a name was last found up to date, in UTC, as a line says.
+
+    ``None`` where it says that of another version, or nothing that can be read.
+    """
+    try:
+        moment, of = line.decode().split()
+        found = datetime.fromisoformat(moment)
+        return found.astimezone(timezone.utc) if of == name and found.tzinfo else None
+    except (ValueError, OverflowError):
+        return None
 
 
 def last_checked(version: Version) -> datetime | None:
@@ -40,10 +60,6 @@ def last_checked(version: Version) -> datetime | None:
     try:
         if not path.is_file():  # nor a pipe, which never ends
             return None
-        moment, name = read_bytes(path, _LINE_BYTES).decode().split()
-        found = datetime.fromisoformat(moment)
-        if name != version.name or found.tzinfo is None:
-            return None
-        return found.astimezone(timezone.utc)
-    except (OSError, MalformedError, ValueError, OverflowError):
+        return parse_checked(read_bytes(path, LINE_BYTES), version.name)
+    except (OSError, MalformedError):
         return None

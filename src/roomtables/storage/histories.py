@@ -58,8 +58,8 @@ def published_versions(space: SpaceFolder, current: Version, verify: bool) -> li
 def _check(version: Version, verify: bool) -> None:
     if not {f"{name}.parquet" for name in VERSION_TABLES} <= version.manifest.files.keys():
         raise StoreError(
-            f"{version.path} holds no Parquet tables, as those packed by `export`; run "
-            "`roomtables sql` where they were built"
+            f"{version.path} holds no Parquet tables: `push` sends them with --all alone, `export` "
+            "never; run `roomtables sql` where they were built"
         )
     check_parquet(version, verify)
 

@@ -2,7 +2,7 @@
 
 ::
 
-    2026-11-25T02:31:07+00:00 000001-84b9ad9d-0c1d2e3f s3://bucket/tables
+    2026-11-25T02:31:07+00:00 2026-11-25T09:30:12+00:00 000001-84b9ad9d-0c1d2e3f s3://bucket/tables
 """
 
 from __future__ import annotations
@@ -19,14 +19,22 @@ _LINE_BYTES = 4000
 
 
 class Origin(NamedTuple):
-    """The place's URL, without user and password, and when the version was pulled, in UTC."""
+    """Where a version came from, and when, in UTC.
+
+    Attributes
+    ----------
+    url : the place's, without user and password
+    pulled : when the version was pulled
+    asked : when the place last said that this is what it publishes
+    """
 
     url: str
-    moment: datetime
+    pulled: datetime
+    asked: datetime
 
 
 def note_origin(version: Version, url: str, moment: datetime) -> None:
-    """Note where a version was pulled from.
+    """Note that a place publishes a version, and that this was pulled, now or before.
 
     Raises
     ------
@@ -35,7 +43,10 @@ def note_origin(version: Version, url: str, moment: datetime) -> None:
     """
     space = version.path.parent
     refuse_outside(space.parent, space, space / ORIGIN)
-    line = f"{moment.isoformat(timespec='seconds')} {version.name} {url}\n"
+    before = origin_of(version)
+    moments = (before.pulled if before else moment, moment)
+    written = " ".join(each.isoformat(timespec="seconds") for each in moments)
+    line = f"{written} {version.name} {url}\n"
     write_aside(space / ORIGIN, line.encode())
 
 
@@ -45,7 +56,8 @@ def origin_of(version: Version) -> Origin | None:
     try:
         if not path.is_file():
             return None
-        moment, name, url = read_bytes(path, _LINE_BYTES).decode().strip().split(" ", 2)
-        return Origin(url, datetime.fromisoformat(moment)) if name == version.name else None
+        *moments, name, url = read_bytes(path, _LINE_BYTES).decode().strip().split(" ", 3)
+        pulled, asked = map(datetime.fromisoformat, moments)
+        return Origin(url, pulled, asked) if name == version.name else None
     except (OSError, MalformedError, ValueError):
         return None

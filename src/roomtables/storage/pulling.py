@@ -11,19 +11,22 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from roomtables.errors import StoreError
 from roomtables.limits import JSON_BYTES
+from roomtables.storage.checked import note_checked
 from roomtables.storage.client_databases import write_anew
 from roomtables.storage.files import build_lock, refuse_links, utc_now, write_aside, writing
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError
 from roomtables.storage.origin import note_origin
-from roomtables.storage.places import Place, open_place, read_small, shown
-from roomtables.storage.pushing import FILES, VERSIONS, read_pointer
+from roomtables.storage.place import PATIENCE, Patience, Place, read_small, shown
+from roomtables.storage.places import open_place
+from roomtables.storage.pushing import FILES, VERSIONS, read_checked, read_pointer
 from roomtables.storage.removal import remove_left, remove_old
 from roomtables.storage.versions import LOOKUP, Pointer, SpaceFolder, Version
 
@@ -53,6 +56,7 @@ def pull(
     labels: str,
     url: str,
     progress: Callable[[int, int], object] = lambda done, total: None,
+    patience: Patience = PATIENCE,
 ) -> Pulled:
     """Make the version that a place's pointer names the published one.
 
@@ -62,16 +66,19 @@ def pull(
     ------
     StoreError
         The place has no tables of this label space, fails, or holds what is not as its hashes say;
-        what is published here stays.
+        or there is no room for them here. What is published here stays.
     """
-    space, place = SpaceFolder(tables, labels), open_place(url)
+    space, place = SpaceFolder(tables, labels), open_place(url, patience)
     pointer = read_pointer(place, labels)
     if pointer is None:
         raise StoreError(
             f"no tables for {labels} at {shown(url)}; name others with `--labels`, or run "
             f"`roomtables push {shown(url)}` where they are built"
         )
+    checked = read_checked(place, labels, pointer.name)
     if _is_here(space, pointer):
+        with build_lock(tables):
+            _settle(space, url, checked)
         return Pulled(labels, pointer.name, False, 0, 0, 0)
     content, manifest = _index(place, labels, pointer, url)
     with build_lock(tables):
@@ -79,14 +86,22 @@ def pull(
         needed = {facts.sha256: facts for facts in manifest.files.values()}
         total = sum(facts.bytes for facts in needed.values())
         job = _Fetching(place, space, url, lambda done: progress(done, total))
+        job.check_room(needed.values())
         found = {digest: job.fetch(facts) for digest, facts in needed.items()}
-        version = _publish(space, pointer, content, manifest, found)
-        note_origin(version, shown(url), utc_now())
-        shutil.rmtree(space.path / FETCHED, ignore_errors=True)
-        remove_left(space)
-        remove_old(space)
-        write_anew(tables)
+        _publish(space, pointer, content, manifest, found)
+        _settle(space, url, checked)
     return Pulled(labels, pointer.name, True, len(manifest.files), job.fetched, job.here)
+
+
+def _settle(space: SpaceFolder, url: str, checked: datetime | None) -> None:
+    """What follows a switch, and a pull that finds nothing new: one before may have been killed."""
+    version = space.current()
+    note_origin(version, shown(url), utc_now())
+    if checked is not None:
+        note_checked(version, checked)
+    remove_left(space)
+    remove_old(space)
+    write_anew(space.path.parent)
 
 
 def _is_here(space: SpaceFolder, pointer: Pointer) -> bool:
@@ -138,6 +153,29 @@ class _Fetching:
             self._local |= {facts.sha256: path / name for name, facts in files.items()}
         self.fetched = self.here = 0
 
+    def check_room(self, needed: Iterable[FileFacts]) -> None:
+        """Refuse to fetch what cannot fit.
+
+        Raises
+        ------
+        StoreError
+            There are fewer bytes free than are to be fetched.
+        """
+        size = sum(facts.bytes - self._held(facts) for facts in needed)
+        free = shutil.disk_usage(self._folder).free
+        if size > free:
+            raise StoreError(
+                f"{shown(self._url)} has {size / 1e6:,.1f} MB to fetch, and {free / 1e6:,.1f} MB "
+                f"are free at {self._space.path}; make room, then pull again"
+            )
+
+    def _held(self, facts: FileFacts) -> int:
+        """The bytes of a file that are here."""
+        if facts.sha256 in self._local:
+            return facts.bytes
+        part = self._folder / facts.sha256
+        return min(part.stat().st_size, facts.bytes) if part.is_file() else 0
+
     def fetch(self, facts: FileFacts) -> Path:
         """A file with this content, verified."""
         path, local = self._folder / facts.sha256, self._local.get(facts.sha256)
@@ -149,19 +187,20 @@ class _Fetching:
                     self._progress(facts.bytes)
                     return found
             for attempt in range(_ATTEMPTS):
+                before = self.fetched
                 try:
                     self._append(path, facts)
                 except StoreError:
-                    if attempt == _ATTEMPTS - 1:
+                    if attempt == _ATTEMPTS - 1 or self.fetched == before:
                         raise
-                    continue
+                    continue  # it was cut, and the next attempt goes on from there
                 if FileFacts.of(path) == facts:
                     return path
                 if path.stat().st_size >= facts.bytes:
                     path.unlink()  # wrong bytes: anew from the first one
         raise StoreError(
             f"{shown(self._url)}/{self._space.labels}/{FILES}/{facts.sha256} is cut or is not the "
-            "file of this hash; push again where the tables are built"
+            "file of this hash; remove it there, then push again where the tables are built"
         )
 
     def _append(self, path: Path, facts: FileFacts) -> None:

@@ -4,6 +4,7 @@
 
     <url>/<label space>/CURRENT                the published version and its index's SHA-256
     <url>/<label space>/versions/<name>.json   its manifest, with every file's hash
+    <url>/<label space>/CHECKED                when a build last found that version up to date
     <url>/<label space>/files/<sha256>         contents, shared by versions
 """
 
@@ -11,26 +12,37 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import re
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from roomtables.errors import StoreError
 from roomtables.limits import JSON_BYTES
+from roomtables.storage.checked import (
+    CHECKED,
+    LINE_BYTES,
+    checked_line,
+    last_checked,
+    parse_checked,
+)
 from roomtables.storage.export import WriteModel
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError
 from roomtables.storage.packed import Packed
-from roomtables.storage.places import MissingError, Place, open_place, read_small, shown
+from roomtables.storage.place import PATIENCE, MissingError, Patience, Place, read_small, shown
+from roomtables.storage.places import open_place
 from roomtables.storage.scratch import scratch
-from roomtables.storage.versions import CURRENT, LOOKUP, NAME, Pointer, SpaceFolder
+from roomtables.storage.versions import CURRENT, LOOKUP, NAME, Pointer, SpaceFolder, Version
 
 VERSIONS = "versions"
 FILES = "files"
 KEPT_THERE = 3
 SAFE_SECONDS = 3600.0  # what was written so lately stays: another push may be about to name it
 _POINTER_BYTES = 400
+_INDEX = re.compile(rf"{NAME.pattern}\.json")
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +67,7 @@ def push(
     all_files: bool = False,
     write_model: WriteModel | None = None,
     keep: int = KEPT_THERE,
+    patience: Patience = PATIENCE,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> Pushed:
     """Send the published version of a label space to a place; what is there is not sent again.
@@ -68,7 +81,7 @@ def push(
     """
     version = SpaceFolder(tables, labels).current()
     version.verify()
-    place = open_place(url)
+    place = open_place(url, patience)
     with ExitStack() as stack:
         model = None
         if write_model is not None:
@@ -84,14 +97,31 @@ def push(
         moved = read_pointer(place, labels) != packed.pointer
         if moved:
             place.write(f"{labels}/{CURRENT}", packed.pointer.to_bytes())
-        again = _send(
-            place, labels, packed, url, lambda done, total: None
-        )  # what another push removed meanwhile
+        _send_checked(place, labels, version, packed)
+        # What another push removed meanwhile.
+        again = _send(place, labels, packed, url, lambda done, total: None)
     removed = remove_old_there(place, labels, keep)
     sent += again
     return Pushed(
         labels, packed.pointer.name, len(sent), sum(f.bytes for f in sent), removed, moved
     )
+
+
+def _send_checked(place: Place, labels: str, version: Version, packed: Packed) -> None:
+    """Let robots know when a build last found this version up to date."""
+    moment = last_checked(version)
+    if moment and moment != read_checked(place, labels, packed.pointer.name):
+        place.write(f"{labels}/{CHECKED}", checked_line(packed.pointer.name, moment))
+
+
+def read_checked(place: Place, labels: str, name: str) -> datetime | None:
+    """When a build last found the version of a name up to date, as a place says; ``None`` where it
+    does not say so of this one, or cannot be asked: then the tables are as old as their index says.
+    """
+    try:
+        return parse_checked(read_small(place, f"{labels}/{CHECKED}", LINE_BYTES), name)
+    except StoreError:
+        return None
 
 
 def read_pointer(place: Place, labels: str) -> Pointer | None:
@@ -141,13 +171,18 @@ def remove_old_there(place: Place, labels: str, keep: int) -> int:
     written lately; then the files that no version needs. How many versions went."""
     found: dict[str, Manifest] = {}
     for name in place.names(f"{labels}/{VERSIONS}"):
+        path = f"{labels}/{VERSIONS}/{name}"
+        if not _INDEX.fullmatch(name):
+            if place.age(path) >= SAFE_SECONDS:
+                place.remove(path)  # left half written by a killed push
+            continue
         try:
-            content = read_small(place, f"{labels}/{VERSIONS}/{name}", JSON_BYTES)
+            content = read_small(place, path, JSON_BYTES)
             found[name.removesuffix(".json")] = Manifest.from_bytes(content)
         except MissingError:
             continue
         except (StoreError, ManifestError):
-            log.warning("nothing old is removed: %s/%s/%s cannot be read", labels, VERSIONS, name)
+            log.warning("nothing old is removed: %s of the place cannot be read", path)
             return 0
     newest = sorted(found, key=lambda name: (found[name].created, name))
     removed = 0

@@ -23,7 +23,8 @@ from roomtables.storage.files import refuse_outside, write_aside
 from roomtables.storage.miss_log import FILE_BYTES, FOLDER, FOLDER_BYTES, folder_bytes
 from roomtables.storage.misses import FETCHED_PREFIX, SENT_NOTE, Miss, Misses
 from roomtables.storage.origin import origin_of
-from roomtables.storage.places import MissingError, Place, open_place, read_small, shown
+from roomtables.storage.place import PATIENCE, MissingError, Patience, Place, read_small, shown
+from roomtables.storage.places import open_place
 from roomtables.storage.versions import SpaceFolder
 
 _NAME = re.compile(r"[\w-]{1,64}-([0-9a-f]{64})\.jsonl", re.ASCII)
@@ -50,7 +51,7 @@ class FetchedMisses(NamedTuple):
     skipped: int
 
 
-def send_misses(tables: Path, labels: str, url: str) -> SentMisses:
+def send_misses(tables: Path, labels: str, url: str, patience: Patience = PATIENCE) -> SentMisses:
     """Send the misses noted here since the last time, each combination once, most asked first.
 
     They stay open for a build here. Where the tables were pulled, none will be made, and files that
@@ -61,7 +62,7 @@ def send_misses(tables: Path, labels: str, url: str) -> SentMisses:
     StoreError
         Nothing is published, or the place cannot be written.
     """
-    space, place = SpaceFolder(tables, labels), open_place(url)
+    space, place = SpaceFolder(tables, labels), open_place(url, patience)
     version = space.current()
     misses = Misses.read(space.path / FOLDER, SENT_NOTE)
     robot = re.sub(r"[^\w-]", "_", os.uname().nodename, flags=re.ASCII)[:64] or "robot"

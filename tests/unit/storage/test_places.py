@@ -4,14 +4,19 @@ import hashlib
 import json
 import os
 import time
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from robot_tables import publish
 from roomtables import RoomTables
+from roomtables.cli import main
 from roomtables.errors import InputError, StoreError
 from roomtables.labels import LabelSpace
+from roomtables.storage.checked import CHECKED, last_checked, note_checked
+from roomtables.storage.origin import ORIGIN, origin_of
 from roomtables.storage.pulling import FETCHED, pull
 from roomtables.storage.pushing import push
 from roomtables.storage.versions import SpaceFolder
@@ -27,11 +32,13 @@ def built(tmp_path):
     return tables
 
 
-@pytest.fixture(params=["file", "memory"])
+@pytest.fixture(params=["file", "memory", "local"])
 def url(request, tmp_path):
     if request.param == "file":
         return f"file://{tmp_path}/place"
     pytest.importorskip("fsspec")
+    if request.param == "local":  # fsspec's own, with folders that are to be made
+        return f"local://{tmp_path}/place"
     return f"memory://{tmp_path.name}"
 
 
@@ -165,3 +172,82 @@ def test_progress_counts_every_byte_once(built, tmp_path):
         assert all(total == sum(done for done, _ in calls) for _, total in calls)
         files = [path.stat().st_size for path in (tmp_path / "place/home/files").iterdir()]
         assert sum(done for done, _ in calls) == sum(files) or (run is pull and not calls)
+
+
+def status(tables, *options):
+    words = ["status", "--tables", str(tables), "--labels", "home", *options]
+    return CliRunner().invoke(main, words)
+
+
+def test_when_tables_were_last_found_up_to_date_travels_with_them(built, url, tmp_path):
+    robot = tmp_path / "robot"
+    push(built, "home", url)
+    pull(robot, "home", url)
+    here, there = (SpaceFolder(tables, "home").current() for tables in (built, robot))
+    assert last_checked(there) is None
+    for day in (25, 26):
+        moment = datetime(2026, 11, day, 2, 31, 7, tzinfo=timezone.utc)
+        note_checked(here, moment)
+        push(built, "home", url)
+        assert not pull(robot, "home", url).new
+        assert last_checked(there) == moment
+    publish(built, SPACE, HashScorer("other@1"))
+    push(built, "home", url)
+    pull(robot, "home", url)
+    assert last_checked(SpaceFolder(robot, "home").current()) is None
+
+
+def test_a_robots_status_says_how_old_tables_are_and_when_the_place_was_asked(built, tmp_path):
+    robot, url = tmp_path / "robot", f"file://{tmp_path}/place"
+    push(built, "home", url)
+    pull(robot, "home", url)
+    old = origin_of(SpaceFolder(robot, "home").current())
+    line = (robot / "home" / ORIGIN).read_text()
+    long_ago = old.pulled - timedelta(days=2)
+    (robot / "home" / ORIGIN).write_text(line.replace(old.pulled.isoformat(), long_ago.isoformat()))
+    said = status(robot, "--max-age", "0s")
+    assert said.exit_code == 1
+    assert f"({url} was last asked {long_ago.isoformat()})" in said.stderr
+    assert f"`roomtables pull {url} --tables {robot} --labels home`" in said.stderr
+    note_checked(SpaceFolder(built, "home").current(), datetime.now(timezone.utc))
+    push(built, "home", url)
+    pull(robot, "home", url)
+    found = json.loads(status(robot, "--max-age", "1h", "--format", "json").stdout)
+    assert found["pulled_from"] == url
+    assert found["pulled"] == long_ago.isoformat()
+    assert datetime.fromisoformat(found["last_pull"]) >= old.asked
+    assert status(built, "--max-age", "1h").exit_code == 0
+    assert json.loads(status(built, "--format", "json").stdout)["last_pull"] is None
+
+
+@pytest.mark.parametrize("said", [b"", b"x" * 9000, b"9999-99-99 {name}", b"\xff\xfe"])
+def test_a_damaged_date_at_a_place_is_as_none(built, tmp_path, said):
+    url = f"file://{tmp_path}/place"
+    push(built, "home", url)
+    name = SpaceFolder(built, "home").current().name.encode()
+    (tmp_path / "place/home" / CHECKED).write_bytes(said.replace(b"{name}", name))
+    assert pull(tmp_path / "robot", "home", url).new
+    assert last_checked(SpaceFolder(tmp_path / "robot", "home").current()) is None
+
+
+def test_what_a_killed_push_left_half_written_goes_later(built, tmp_path):
+    url = f"file://{tmp_path}/place"
+    push(built, "home", url)
+    left = tmp_path / "place/home/versions/.000009-madeupxx-01234567.json.0a1b2c3d.tmp"
+    left.write_bytes(b"{")
+    push(built, "home", url)
+    assert left.exists()  # it may be written at this moment
+    past = time.time() - 7200
+    os.utime(left, (past, past))
+    push(built, "home", url)
+    assert not left.exists()
+
+
+def test_an_archive_of_what_a_place_publishes_is_known_to_come_from_there(built, tmp_path):
+    """As a pull that was killed behind its switch: the next one notes what that one did not."""
+    robot, url = tmp_path / "robot", f"file://{tmp_path}/place"
+    push(built, "home", url)
+    pull(robot, "home", url)
+    (robot / "home" / ORIGIN).unlink()
+    assert not pull(robot, "home", url).new
+    assert origin_of(SpaceFolder(robot, "home").current()).url == url
