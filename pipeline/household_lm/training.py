@@ -17,6 +17,7 @@ from transformers import LlamaConfig, LlamaForCausalLM
 from .answers import Posterior
 from .facts import Facts
 from .judge import judge
+from .muon import Muon
 from .packing import BOS, Batch, batches, train_tokenizer
 from .world import World
 
@@ -41,6 +42,7 @@ class Recipe:
     embedding_rate: float = 6e-3
     weight_decay: float = 0.05
     answer_weight: float = 10.0
+    evidence_weight: float = 2.0
     dropout: float = 0.0
     warmup_steps: int = 60
     average: float = 0.995
@@ -59,6 +61,8 @@ class Training:
         self.checkpoint = work / "checkpoint.pt"
         self.tokenizer = _tokenizer(facts, recipe, work)
         self.posterior = Posterior(World(facts), self.tokenizer)
+        found = (self.posterior.room_tokens, self.posterior.object_tokens)
+        self.names = [torch.from_numpy(tokens) for tokens in found]
         torch.manual_seed(recipe.seed)
         self.model = new_model(recipe, self.tokenizer)
         self.average = new_model(recipe, self.tokenizer).requires_grad_(False).eval()
@@ -114,7 +118,7 @@ class Training:
                 group["lr"] = rate * _rate(self.step, recipe)
         self.model.train()
         logits = _logits(self.model, batch)
-        loss: Any = _loss(logits, batch, recipe.answer_weight)
+        loss: Any = self._loss(logits, batch)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         for optimizer in self.optimizers:
@@ -125,6 +129,28 @@ class Training:
         for mean, value in zip(self.average.parameters(), self.model.parameters(), strict=True):
             mean.lerp_(value.detach(), share)
         return cross_entropy(logits.detach(), batch.targets().flatten()).item()
+
+    def _loss(self, logits: torch.Tensor, batch: Batch) -> torch.Tensor:
+        """Cross-entropy in nats per token, against an answer's distribution where there is one.
+
+        Added to it, where objects or a room are told: cross-entropy between what might be named
+        next, by the knowledge and by the model, both normalised over those names' first tokens.
+        """
+        targets = batch.targets().flatten()
+        plain = targets.clone()
+        places = torch.tensor([target.place - 1 for target in batch.answers])
+        plain[places] = -100
+        total = cross_entropy(logits, plain, reduction="sum")
+        expected = torch.zeros(len(places), logits.shape[1])
+        for row, target in zip(expected, batch.answers, strict=True):
+            row[torch.from_numpy(target.tokens)] = torch.from_numpy(target.shares)
+        answered = cross_entropy(logits[places], expected, reduction="sum")
+        told = sum(
+            cross_entropy(logits[at][:, names], shares, reduction="sum")
+            for (at, shares), names in zip((batch.rooms, batch.objects), self.names, strict=True)
+        )
+        weighted = self.recipe.answer_weight * answered + self.recipe.evidence_weight * told
+        return (total + weighted) / (targets >= 0).sum()
 
     def measure(self, judge_sets: int) -> dict[str, float]:
         """Held-out loss and held-out frames, with the averaged weights."""
@@ -173,12 +199,7 @@ def _optimizers(model: LlamaForCausalLM, recipe: Recipe) -> list[torch.optim.Opt
     """Muon for the matrices inside the layers, AdamW for the embedding and the norms."""
     inner = [value for name, value in model.named_parameters() if _is_inner(name, value)]
     rest = [value for name, value in model.named_parameters() if not _is_inner(name, value)]
-    muon = torch.optim.Muon(
-        inner,
-        lr=recipe.learning_rate,
-        weight_decay=recipe.weight_decay,
-        adjust_lr_fn="match_rms_adamw",
-    )
+    muon = Muon(inner, recipe.learning_rate, recipe.weight_decay)
     adam = torch.optim.AdamW(
         rest, lr=recipe.embedding_rate, weight_decay=0.0, betas=(0.9, 0.97), fused=True
     )
@@ -196,29 +217,10 @@ def _rate(step: int, recipe: Recipe) -> float:
 
 
 def _logits(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
-    with torch.autocast("cpu", torch.bfloat16):
-        logits = model(
-            input_ids=batch.ids,
-            position_ids=batch.positions,
-            attention_mask=batch.mask().bfloat16(),
-            use_cache=False,
-        ).logits
-    flat: torch.Tensor = logits.float().flatten(0, 1)
-    return flat
-
-
-def _loss(logits: torch.Tensor, batch: Batch, answer_weight: float) -> torch.Tensor:
-    """Cross-entropy in nats per token.
-
-    At an answer it is taken against the answer's distribution, and weighted by ``answer_weight``.
-    """
-    targets = batch.targets().flatten()
-    places = torch.tensor([place for place, _, _ in batch.answers])
-    plain = targets.clone()
-    plain[places] = -100
-    total = cross_entropy(logits, plain, reduction="sum")
-    expected = torch.zeros(len(places), logits.shape[1])
-    for row, (_, tokens, probabilities) in zip(expected, batch.answers, strict=True):
-        row[torch.from_numpy(tokens)] = torch.from_numpy(probabilities)
-    total = total + answer_weight * cross_entropy(logits[places], expected, reduction="sum")
-    return total / (targets >= 0).sum()
+    logits: torch.Tensor = model(
+        input_ids=batch.ids,
+        position_ids=batch.positions,
+        attention_mask=batch.mask(),
+        use_cache=False,
+    ).logits
+    return logits.flatten(0, 1)
