@@ -55,8 +55,8 @@ def object_problems(rows: list[dict[str, str]]) -> list[str]:
 
 def room_problems(file: str, room: dict[str, Any], objects: set[str], rooms: set[str]) -> list[str]:
     """Return one line per problem of one room file."""
-    keys = {"room", "setting", *LISTS}
-    wrong = set(room) ^ keys - (OPTIONAL - set(room))
+    required = {"room", "setting", *LISTS} - OPTIONAL
+    wrong = (required - set(room)) | (set(room) - required - OPTIONAL)
     if wrong:
         return [f"{file}: missing or unknown keys: {', '.join(sorted(wrong))}"]
     problems = [] if room["setting"] in SETTINGS else [f"{file}: setting {room['setting']!r}?"]
