@@ -10,7 +10,14 @@ from pathlib import Path
 KNOWLEDGE = Path(__file__).parent / "knowledge"
 
 # How probable it is that a room of the kind holds the object.
-TIERS = {"nearly_always": 0.9, "often": 0.5, "sometimes": 0.2, "rarely": 0.05}
+TIERS = {
+    "nearly_always": 0.9,
+    "usually": 0.7,
+    "often": 0.5,
+    "sometimes": 0.2,
+    "seldom": 0.1,
+    "rarely": 0.05,
+}
 SYNONYM_SHARE = 0.2  # of an object's mentions
 
 

@@ -22,6 +22,7 @@ from roomtables.cli.names import NameReport
 from roomtables.cli.printing import echo
 from roomtables.evaluation import Evaluation, evaluate
 from roomtables.evaluation.comparison import compare, parse_conditions
+from roomtables.evaluation.grouping import read_groups
 from roomtables.evaluation.saving import save
 from roomtables.evaluation.sweeping import sweep
 from roomtables.online.classifier import RoomTables
@@ -34,7 +35,8 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 @click.argument("rooms_file", metavar="ROOMS", type=_FILE)
 @click.option("--compare", "conditions", metavar="RULE:SOURCE,…", help="Several in one run.")
 @click.option("--sweep", "sweeps", is_flag=True, help="Accuracy over k, λ, γ, rule and source.")
-@click.option("--statistics", is_flag=True, help="Add interval, top 3 and calibration to JSON.")
+@click.option("--statistics", is_flag=True, help="Add interval and calibration to JSON.")
+@click.option("--groups", metavar="FILE.csv", help="Rooms as good as one another (room, group).")
 @click.option("--plot", type=_FILE, help="Draw accuracy per room, or the sweep: .png or .svg.")
 @click.option("--save", "name", metavar="NAME", help="Keep what was predicted, for `sql`.")
 @click.option("--plot-calibration", type=_FILE, help="Draw reliability, and risk over coverage.")
@@ -49,6 +51,7 @@ def evaluate_command(
     conditions: str | None,
     sweeps: bool,
     statistics: bool,
+    groups: str | None,
     plot: Path | None,
     plot_calibration: Path | None,
     name: str | None,
@@ -64,13 +67,17 @@ def evaluate_command(
     A room without an answer counts as wrong, and is counted apart. With --save, SQL can ask about
     single rooms: `roomtables sql "from evaluations where predicted != room"`.
 
+    --groups counts an answer that people use for the true one, too: FILE.csv names the group of
+    each room; a built-in label space's name stands for the groups that it comes with.
+
     \b
     Example:
       roomtables evaluate rooms.jsonl --rule pooled --save nightly-1
       roomtables evaluate rooms.jsonl --compare query:proxy,pooled:proxy --plot rooms.svg
+      roomtables evaluate rooms.jsonl --labels mpcat40 --groups mpcat40
       roomtables evaluate rooms.jsonl --sweep --plot sweep.png
     """
-    if sweeps and (conditions or statistics or plot_calibration or weights or name):
+    if sweeps and (conditions or statistics or plot_calibration or weights or name or groups):
         raise click.UsageError("--sweep goes with --plot alone")
     check_plots(plot, plot_calibration)
     if name is not None:
@@ -80,12 +87,13 @@ def evaluate_command(
     if sweeps:
         _sweep(rooms_file, opened, format_, output, plot)
         return
+    grouped = read_groups(groups, opened) if groups is not None else None
     if asked:
-        compared = compare(rooms_file, opened, asked, weights)
+        compared = compare(rooms_file, opened, asked, weights, grouped)
         emit(comparison_text(compared, format_), output)
         evaluations = compared.evaluations
     else:
-        found = evaluate(rooms_file, opened, weights)
+        found = evaluate(rooms_file, opened, weights, grouped)
         _report_names(opened, found)
         emit(evaluation_text(found, format_, statistics), output)
         evaluations = (found,)

@@ -40,13 +40,18 @@ def _summary(found: Evaluation) -> str:
         f"(macro {percent(found.macro_accuracy)})\n"
         f"rule {found.rule}, source {found.source}\n"
         f"95 % interval {_interval(statistics['accuracy_interval'])}; "
-        f"right among the top 3: {percent(statistics['top_3_accuracy'])}\n"
+        f"right among the top 3: {percent(found.top_3_accuracy)}{_grouped(found)}\n"
         f"expected calibration error {statistics['expected_calibration_error']:.3f}; baselines: "
         f"uniform {percent(baselines['uniform'])}, majority {percent(baselines['majority'])}\n"
         f"answered by: {counts(answered_by)}; backed off to rule pooled: {found.backed_off}\n"
         f"unanswered, counted as wrong: {counts(found.unanswered)}\n"
         f"left out: {counts(found.skipped)}"
     )
+
+
+def _grouped(found: Evaluation) -> str:
+    share = found.grouped_accuracy
+    return "" if share is None else f"; in the right group: {percent(share)}"
 
 
 def _interval(found: Mapping[str, float]) -> str:
@@ -77,7 +82,7 @@ def comparison_text(compared: Comparison, format_: str) -> str:
 
 
 def _condition_row(found: Evaluation) -> dict[str, Any]:
-    more = found.statistics()
+    more, grouped = found.statistics(), found.grouped_accuracy
     return {
         "condition": found.condition,
         "rooms": found.rooms,
@@ -85,7 +90,8 @@ def _condition_row(found: Evaluation) -> dict[str, Any]:
         "accuracy": percent(found.accuracy),
         "95 % interval": _interval(more["accuracy_interval"]),
         "macro": percent(found.macro_accuracy),
-        "top 3": percent(more["top_3_accuracy"]),
+        "top 3": percent(found.top_3_accuracy),
+        **({} if grouped is None else {"grouped": percent(grouped)}),
         "calibration error": f"{more['expected_calibration_error']:.3f}",
         "unanswered": found.unanswered.total(),
         "backed off": found.backed_off,
@@ -93,7 +99,7 @@ def _condition_row(found: Evaluation) -> dict[str, Any]:
 
 
 def _condition_record(found: Evaluation) -> dict[str, Any]:
-    more = found.statistics()
+    more, grouped = found.statistics(), found.grouped_accuracy
     interval = more["accuracy_interval"]
     return {
         "rule": found.rule,
@@ -104,7 +110,8 @@ def _condition_record(found: Evaluation) -> dict[str, Any]:
         "low": interval["low"],
         "high": interval["high"],
         "macro_accuracy": found.macro_accuracy,
-        "top_3_accuracy": more["top_3_accuracy"],
+        "top_3_accuracy": found.top_3_accuracy,
+        **({} if grouped is None else {"grouped_accuracy": grouped}),
         "expected_calibration_error": more["expected_calibration_error"],
         "unanswered": found.unanswered.total(),
         "backed_off": found.backed_off,

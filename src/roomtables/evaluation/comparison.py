@@ -4,7 +4,7 @@ by more than chance.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
@@ -45,8 +45,9 @@ def compare(
     tables: RoomTables,
     conditions: Sequence[tuple[str, str]],
     weights: str | None = None,
+    groups: Mapping[str, str] | None = None,
 ) -> Comparison:
-    """Evaluate each (rule, source) on the same rooms; ``weights`` as for :func:`evaluate`.
+    """Evaluate each (rule, source) on the same rooms; the rest is as for :func:`evaluate`.
 
     Raises
     ------
@@ -57,7 +58,10 @@ def compare(
     """
     held = room_list(rooms)
     return Comparison(
-        tuple(evaluate(held, tables.deciding(rule=r, source=s), weights) for r, s in conditions)
+        tuple(
+            evaluate(held, tables.deciding(rule=rule, source=source), weights, groups)
+            for rule, source in conditions
+        )
     )
 
 

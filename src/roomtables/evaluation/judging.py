@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from roomtables.errors import InputError
 from roomtables.evaluation import statistics
+from roomtables.evaluation.grouping import in_one_group
 from roomtables.labels import normalise
 from roomtables.online.classifier import RoomTables, classify_rooms
 from roomtables.online.prediction import NONE, Prediction
@@ -42,6 +43,19 @@ class Judged:
         return self.prediction.room in self.truth
 
     @property
+    def in_top(self) -> bool:
+        """Whether the three best candidates hold a true label; unanswered is wrong."""
+        best = self.prediction.best(TOP) if self.prediction.room is not None else ()
+        return any(room in self.truth for room in best)
+
+    def in_group(self, groups: Mapping[str, str]) -> bool:
+        """Right if the answer is of one group with any of the true labels; unanswered is wrong."""
+        answer = self.prediction.room
+        return answer is not None and any(
+            in_one_group(groups, answer, truth) for truth in self.truth
+        )
+
+    @property
     def why_unanswered(self) -> str | None:
         """Why the room has no answer; ``None`` where it has one."""
         found = self.prediction
@@ -54,13 +68,18 @@ class Judged:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Accuracy of one rule and source on a list of rooms."""
+    """Accuracy of one rule and source on a list of rooms.
+
+    ``groups`` maps the rooms that people use for one another to a group; ``None`` where no groups
+    were asked for.
+    """
 
     rule: str
     source: str
     candidates: tuple[str, ...]
     judged: tuple[Judged, ...]
     skipped: Counter[str]
+    groups: Mapping[str, str] | None = None
 
     @property
     def rooms(self) -> int:
@@ -136,20 +155,23 @@ class Evaluation:
         return np.array(probabilities), np.array([judged.correct for judged in answered], bool)
 
     @property
-    def top_accuracy(self) -> float:
-        """Share of rooms with a true label among the three most probable."""
-        hits = sum(
-            any(room in judged.truth for room, _ in judged.prediction.top(TOP))
-            for judged in self.judged
-        )
-        return hits / self.rooms
+    def top_3_accuracy(self) -> float:
+        """Share of rooms with a true label among the three best candidates."""
+        return sum(judged.in_top for judged in self.judged) / self.rooms
+
+    @property
+    def grouped_accuracy(self) -> float | None:
+        """Share of rooms whose answer is of a true label's group; ``None`` without groups."""
+        if self.groups is None:
+            return None
+        return sum(judged.in_group(self.groups) for judged in self.judged) / self.rooms
 
     def statistics(self) -> dict[str, Any]:
         """Confidence interval, top-3 accuracy, calibration, and risk against coverage."""
         bins, points = self.reliability(), self.risk_coverage()
         return {
             "accuracy_interval": statistics.bootstrap_interval(self.outcomes).as_json(),
-            "top_3_accuracy": self.top_accuracy,
+            "top_3_accuracy": self.top_3_accuracy,
             "expected_calibration_error": statistics.expected_calibration_error(bins),
             "reliability": statistics.as_records(bins),
             "area_under_risk_coverage": statistics.area_under_risk(points),
@@ -159,6 +181,7 @@ class Evaluation:
     def as_json(self, *, statistics: bool = False) -> dict[str, Any]:
         """The evaluation under the contract's keys; on request with its ``statistics``."""
         extra = {"statistics": self.statistics()} if statistics else {}
+        grouped = {} if self.groups is None else {"grouped_accuracy": self.grouped_accuracy}
         return {
             "rooms": self.rooms,
             "correct": self.correct,
@@ -172,6 +195,8 @@ class Evaluation:
             "answered_by": dict(Counter(j.prediction.answered_by for j in self.judged)),
             "backed_off": self.backed_off,
             "unanswered": self.unanswered.total(),
+            "top_3_accuracy": self.top_3_accuracy,
+            **grouped,
             "skipped": dict(self.skipped),
             **extra,
         }
@@ -190,12 +215,16 @@ def _counted(judged: Sequence[Judged]) -> dict[str, Any]:
 
 
 def evaluate(
-    rooms: Iterable[Room] | str | Path, tables: RoomTables, weights: str | None = None
+    rooms: Iterable[Room] | str | Path,
+    tables: RoomTables,
+    weights: str | None = None,
+    groups: Mapping[str, str] | None = None,
 ) -> Evaluation:
     """Label rooms and compare with their true labels.
 
     ``weights`` (``counts`` or ``confidences``) is as for
-    :func:`~roomtables.online.weighing.classify_rooms`.
+    :func:`~roomtables.online.weighing.classify_rooms`; ``groups`` maps rooms that people use for
+    one another to a group, as :func:`~roomtables.evaluation.grouping.read_groups` reads them.
 
     Left out and counted: rooms without a true label, without objects, and those none of whose true
     labels is a candidate.
@@ -223,7 +252,7 @@ def evaluate(
         for (room, truth), prediction in zip(kept, predictions, strict=True)
     )
     decision = tables.decision
-    return Evaluation(decision.rule, decision.source, candidates, judged, skipped)
+    return Evaluation(decision.rule, decision.source, candidates, judged, skipped, groups)
 
 
 def room_list(rooms: Iterable[Room] | str | Path) -> list[Room]:

@@ -150,7 +150,7 @@ class Prediction:
         """
         if self.compared is None:
             return ()
-        best, *others = np.argsort(-self.compared, kind="stable").tolist()
+        best, *others = self._ranking(self.compared)
         second = others[0] if others else None
         names, said = self.decider.candidates.names, self._weighed_objects
         counted = len(said.labels) if self.decider.pools else self.decider.lookup.k
@@ -198,6 +198,18 @@ class Prediction:
             return self
         reason = f"{self.room} has probability {probability:.3g}, below {least:g}"
         return replace(self, room=None, reason=reason)
+
+    def best(self, n: int) -> tuple[str, ...]:
+        """The ``n`` best rooms by what the rule compares, ties by label; empty if unanswered."""
+        if self.compared is None:
+            return ()
+        return tuple(self.decider.candidates.names[at] for at in self._ranking(self.compared)[:n])
+
+    @staticmethod
+    def _ranking(compared: NDArray[np.floating[Any]]) -> list[int]:
+        """The candidates' places, best first; they are sorted by label, and so are ties."""
+        places: list[int] = np.argsort(-compared, kind="stable").tolist()
+        return places
 
     def top(self, n: int) -> list[tuple[str, float]]:
         """The ``n`` most probable rooms, best first."""

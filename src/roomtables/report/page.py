@@ -167,7 +167,7 @@ def _accuracy(found: Evaluation, decision: Decision) -> str:
         f"{found.correct} of {found.rooms} rooms right: {percent(found.accuracy)} (95 % interval "
         f"{percent(interval['low'])} to {percent(interval['high'])}), "
         f"macro {percent(found.macro_accuracy)}, "
-        f"right among the top 3 {percent(found.top_accuracy)}; always the most frequent room "
+        f"right among the top 3 {percent(found.top_3_accuracy)}; always the most frequent room "
         f"{percent(baselines['majority'])}, a uniform guess {percent(baselines['uniform'])}. "
         f"Decided by {_decision_text(decision)}."
     )

@@ -43,7 +43,8 @@ def test_base_json_keys_are_the_contract(tables):
     found = evaluate(ROOMS, tables)
     assert list(found.as_json()) == [
         "rooms", "correct", "accuracy", "macro_accuracy", "rule", "source", "per_room",
-        "confusion", "baselines", "answered_by", "backed_off", "unanswered", "skipped",
+        "confusion", "baselines", "answered_by", "backed_off", "unanswered", "top_3_accuracy",
+        "skipped",
     ]  # fmt: skip
     assert [*found.as_json(), "statistics"] == list(found.as_json(statistics=True))
     assert found.rooms == 5
@@ -66,7 +67,7 @@ def test_rooms_whose_labels_no_space_has_are_an_error_that_counts_them(tables):
 
 
 def test_top_three_of_three_candidates_is_everything_answered(tables):
-    assert evaluate(ROOMS, tables).top_accuracy == pytest.approx(4 / 5)
+    assert evaluate(ROOMS, tables).top_3_accuracy == pytest.approx(4 / 5)
 
 
 def test_a_comparison_judges_the_same_rooms(tables):
