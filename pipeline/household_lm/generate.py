@@ -84,8 +84,10 @@ _CODAS = (
 class Writer:
     """Writes documents from one stream of random numbers."""
 
-    def __init__(self, world: World, seed: int, mark: bool = False) -> None:
-        self.world, self.rng, self.mark = world, random.Random(seed), mark
+    def __init__(
+        self, world: World, seed: int, mark: bool = False, noise: float = NOISE_SHARE
+    ) -> None:
+        self.world, self.rng, self.mark, self.noise = world, random.Random(seed), mark, noise
         self.marks: list[Marked] = []
 
     def document(self) -> str:
@@ -120,7 +122,7 @@ class Writer:
 
         So a model learns to go by the objects also in a sentence whose words it has not read.
         """
-        if self.rng.random() >= NOISE_SHARE:
+        if self.rng.random() >= self.noise:
             return str
         share = self.rng.choice([0.15, 0.35, 0.6, 1.0])
 
@@ -179,9 +181,12 @@ def _speaks_of_objects_only(kind: str, frame_id: int) -> bool:
     return not any("home" in slot for slot in slots(frame))
 
 
-def documents(facts: Facts, seed: int) -> Iterator[str]:
-    """Yield documents without end; the same facts and seed give the same ones."""
-    writer = Writer(World(facts), seed)
+def documents(facts: Facts, seed: int, noise: float = NOISE_SHARE) -> Iterator[str]:
+    """Yield documents without end; the same facts and seed give the same ones.
+
+    ``noise`` is the share of sentences some of whose words are replaced.
+    """
+    writer = Writer(World(facts), seed, noise=noise)
     while True:
         yield writer.document()
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 import torch
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors, trainers
 
+from . import english
 from .answers import Document, Floats, Posterior, Target
 from .facts import Facts
 from .generate import Writer, documents
@@ -23,6 +24,7 @@ BOS = "<s>"
 _CHUNK_DOCUMENTS = 2_000
 _TOKENIZER_DOCUMENTS = 60_000
 _TOKENIZER_SEED = 1_000_003
+_TOKENIZER_NAMES = 10
 
 
 @dataclass(frozen=True)
@@ -66,12 +68,21 @@ def train_tokenizer(facts: Facts, vocabulary: int, count: int = _TOKENIZER_DOCUM
         initial_alphabet=pre_tokenizers.ByteLevel.alphabet(),
         show_progress=False,
     )
-    texts = islice(documents(facts, _TOKENIZER_SEED), count)
-    tokenizer.train_from_iterator(texts, trainer)
+    texts = islice(documents(facts, _TOKENIZER_SEED, noise=0.0), count)
+    tokenizer.train_from_iterator(chain(texts, _names(facts)), trainer)
     tokenizer.post_processor = processors.TemplateProcessing(
         single=f"{BOS} $A", pair=f"{BOS} $A {BOS} $B", special_tokens=[(BOS, 0)]
     )
     return tokenizer
+
+
+def _names(facts: Facts) -> Iterator[str]:
+    """Every object's and room's name, so often that few are cut into pieces."""
+    called = {name for thing in facts.things.values() for name, _ in thing.called()}
+    rooms = {name for room in facts.rooms.values() for name in (room.name, *room.synonyms)}
+    for name in sorted(called | rooms):
+        for form in (name, english.plural(name)):
+            yield from [f"the {form}"] * _TOKENIZER_NAMES
 
 
 def batches(
@@ -141,6 +152,6 @@ def _tensors(rows: list[list[Document]], length: int) -> Batch:
 
 
 def _stacked(known: dict[int, Floats]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Places before each token, and its row of probabilities; a token at place 0 has none before."""
+    """Places before tokens, and a row of probabilities of each."""
     shares = np.stack([*known.values()]) if known else np.zeros((0, 0), np.float32)
     return torch.tensor([*known]) - 1, torch.from_numpy(shares)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import torch
 from tqdm import tqdm
 from transformers import PreTrainedTokenizerFast
 
@@ -25,7 +26,7 @@ MODEL_FOLDER = Path(__file__).parents[2] / "src" / "roomtables" / "models" / "ho
 
 
 def train(
-    training: Training, measure_every: int, judge_sets: int = 24, stop_at: int | None = None
+    training: Training, measure_every: int, judge_sets: int = 12, stop_at: int | None = None
 ) -> None:
     """Train to the recipe's end (or ``stop_at``), measuring and saving on the way."""
     recipe = training.recipe
@@ -94,10 +95,12 @@ def export(training: Training, folder: Path) -> None:
 @click.option("--embedding-rate", default=Recipe.embedding_rate, show_default=True)
 @click.option("--weight-decay", default=Recipe.weight_decay, show_default=True)
 @click.option("--answer-weight", default=Recipe.answer_weight, show_default=True)
+@click.option("--evidence-weight", default=Recipe.evidence_weight, show_default=True)
 @click.option("--dropout", default=Recipe.dropout, show_default=True)
 @click.option("--average", default=Recipe.average, show_default=True)
 def main(work: Path, output: Path, measure_every: int, **options: Any) -> None:
     """Train, or go on training, and export."""
+    torch.set_num_threads(1)  # its matrices are too small for more to be faster
     work.mkdir(parents=True, exist_ok=True)
     training = Training(Recipe(**options), load_facts(), work)
     training.resume()

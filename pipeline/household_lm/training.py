@@ -30,7 +30,7 @@ class Recipe:
     """Everything that the weights depend on, besides the knowledge and the frames."""
 
     seed: int = 0
-    tokens: int = 6_000_000
+    tokens: int = 16_000_000
     vocabulary: int = 4096
     width: int = 160
     layers: int = 3
@@ -162,8 +162,13 @@ class Training:
                 cross_entropy(_logits(self.average, batch), batch.targets().flatten()).item()
                 for batch, _ in itertools.islice(held_out, _VALIDATION_BATCHES)
             ]
-        verdict = asdict(judge(self.average, self.tokenizer, self.facts, judge_sets))
-        return {"held_out_loss": sum(losses) / len(losses), **verdict}
+        found = judge(self.average, self.tokenizer, self.facts, judge_sets)
+        return {
+            "held_out_loss": sum(losses) / len(losses),
+            **{f"kl_{row.size}": row.kl for row in found},
+            **{f"accuracy_{row.size}": row.accuracy for row in found},
+            **{f"bias_spread_{row.size}": row.bias_spread for row in found},
+        }
 
 
 def _tokenizer(facts: Facts, recipe: Recipe, work: Path) -> Tokenizer:
