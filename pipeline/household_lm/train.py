@@ -34,7 +34,7 @@ def train(
         training.posterior, recipe.seed * 1_000_000, recipe.rows, recipe.length, training.position
     )
     end = min(recipe.steps, stop_at or recipe.steps)
-    tokens = recipe.rows * recipe.length
+    tokens = recipe.batch_tokens
     bar = tqdm(
         total=recipe.steps * tokens,
         initial=training.step * tokens,
@@ -56,7 +56,7 @@ def train(
 def _log(training: Training, loss: float, judge_sets: int) -> None:
     row = {
         "step": training.step,
-        "tokens": training.step * training.recipe.rows * training.recipe.length,
+        "tokens": training.step * training.recipe.batch_tokens,
         "cpu_seconds": round(time.process_time()),
         "training_loss": loss,
         **training.measure(judge_sets),

@@ -30,7 +30,7 @@ class Recipe:
     """Everything that the weights depend on, besides the knowledge and the frames."""
 
     seed: int = 0
-    tokens: int = 16_000_000
+    tokens: int = 10_000_000
     vocabulary: int = 4096
     width: int = 160
     layers: int = 3
@@ -50,7 +50,17 @@ class Recipe:
     @property
     def steps(self) -> int:
         """How many updates the tokens are enough for."""
-        return max(1, self.tokens // (self.rows * self.length))
+        return max(1, self.tokens // self.batch_tokens)
+
+    @property
+    def batch_tokens(self) -> int:
+        """Tokens of one update."""
+        return self.rows * self.length
+
+    def rate(self, step: int) -> float:
+        """The learning rate's factor: a linear warm-up, a slow linear fall, a faster one."""
+        warm, done = min(1.0, (step + 1) / self.warmup_steps), step / self.steps
+        return warm * max(0.01, min(1 - 0.625 * done, 2 * (1 - done)))
 
 
 class Training:
@@ -115,7 +125,7 @@ class Training:
             self.optimizers, (recipe.learning_rate, recipe.embedding_rate), strict=True
         ):
             for group in optimizer.param_groups:
-                group["lr"] = rate * _rate(self.step, recipe)
+                group["lr"] = rate * recipe.rate(self.step)
         self.model.train()
         logits = _logits(self.model, batch)
         loss: Any = self._loss(logits, batch)
@@ -213,12 +223,6 @@ def _optimizers(model: LlamaForCausalLM, recipe: Recipe) -> list[torch.optim.Opt
 
 def _is_inner(name: str, value: torch.Tensor) -> bool:
     return value.ndim == 2 and "layers." in name
-
-
-def _rate(step: int, recipe: Recipe) -> float:
-    """The learning rate's factor: linear warm-up times linear decay to 0.01."""
-    warm = min(1.0, (step + 1) / recipe.warmup_steps)
-    return warm * max(0.01, 1 - step / recipe.steps)
 
 
 def _logits(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
