@@ -1,20 +1,53 @@
 -- One row per source, object, room: how the object's probability spreads over all rooms.
--- proxy: softmax over rooms of the single-object sentence's score S (paper equation 2), which is the
--- model's, or comes from the imported table `scores`.
+-- proxy: softmax over rooms of the single-object score S (paper equation 2), which is that of the
+-- model's sentence, or comes from the imported table `scores`. Of several templates, S is the mean of
+-- the log softmax over rooms of each one's score.
 -- ground_truth: counts with additive smoothing.
-with single_scores as (
-    select object, room, score
-    from scores
-    union all
+with worded as (
     select
         single_sentences.object,
         single_sentences.room,
+        single_sentences.template,
         case (select reduction from parameters)
             when 'mean' then sentence_scores.log_prob / sentence_scores.token_count
             else sentence_scores.log_prob
         end as score
     from single_sentences
     join sentence_scores using (sentence)
+),
+
+worded_shifted as (
+    select
+        *,
+        max(score) over (partition by object, template) as highest,
+        exp(score - max(score) over (partition by object, template)) as likelihood
+    from worded
+),
+
+worded_log_probabilities as (
+    select
+        object,
+        room,
+        template,
+        score,
+        score - highest
+            - ln(sum(likelihood) over (partition by object, template)) as log_probability
+    from worded_shifted
+),
+
+single_scores as (
+    select object, room, score
+    from scores
+    union all
+    select
+        object,
+        room,
+        case
+            when count(*) = 1 then any_value(score)
+            else avg(log_probability)
+        end as score
+    from worded_log_probabilities
+    group by object, room
 ),
 
 proxy_shifted as (

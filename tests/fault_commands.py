@@ -5,6 +5,7 @@ A new command that writes is a line in ``COMMANDS``.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -32,7 +33,8 @@ from roomtables.offline import (  # noqa: F401  (once, before the forks)
     upkeep,
 )
 from roomtables.storage.checked import last_checked
-from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import Misses
 from roomtables.storage.score_cache import SentenceCache
 from roomtables.storage.versions import MANIFEST, SpaceFolder
 from support import HashScorer, write_space
@@ -40,6 +42,10 @@ from support import HashScorer, write_space
 SPACE = LabelSpace.named("home", ["bed", "sink", "stove", "toilet"], ["bathroom", "kitchen"])
 MISSED = ["bed", "sink", "stove"]
 _TOLERANCE = 1e-9
+# What differs from run to run in the names of files that are being written.
+_SCRATCH = re.compile(r"(?<=[.-])([0-9a-z_]{8}|\d+)(?=/|\.|$)")
+# It says to people which process holds it.
+_LOCK = ".build-lock"
 # What may lie in a tables folder after `gc`, besides the files of whole versions.
 _KEPT = (
     r"labels/.*",
@@ -126,6 +132,16 @@ class Site:
         if self.database.exists():
             found["database"] = self.database_rows()
         return found
+
+    def state(self) -> str:
+        """A digest of every file's name and bytes, less what says which process wrote it."""
+        lines = []
+        for path in self.root.rglob("*"):
+            name = _SCRATCH.sub("*", str(path.relative_to(self.root)))
+            held = path.is_file() and path.name != _LOCK
+            digest = hashlib.sha256(path.read_bytes()).hexdigest() if held else ""
+            lines.append(f"{name} {path.lstat().st_mode} {digest}")
+        return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
     def database_rows(self) -> dict[str, list[Any]]:
         """What a client reads of the published version; other views read what is there, too."""

@@ -80,18 +80,21 @@ class Swept:
     """What a sweep of one command found.
 
     ``points`` of its ``calls`` were tried, once for each signal, and at ``hit`` of them the signal
-    came; ``failures`` says what was wrong, and where.
+    came. Their files were in so many ``states``, each of which was checked once; ``failures`` says
+    what was wrong, and where.
     """
 
     command: str
     calls: int
     points: int
     hit: int = 0
+    states: set[str] = field(default_factory=set)
     failures: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
         hit = f"{self.hit} of {self.points} points hit"
-        return f"{self.command}: {self.calls} calls, {hit}, {len(self.failures)} failures"
+        states = f"{len(self.states)} states"
+        return f"{self.command}: {self.calls} calls, {hit}, {states}, {len(self.failures)} failures"
 
 
 def worth_trying(calls: Sequence[str]) -> list[int]:
@@ -212,7 +215,8 @@ class Bench:
         ]
         swept = Swept(command.name, len(calls), len(points))
         with ThreadPoolExecutor(WORKERS) as pool:
-            for point, hit, wrong in pool.map(lambda p: self._try(command, p, expected), points):
+            tried = pool.map(lambda p: self._try(command, p, expected, swept.states), points)
+            for point, hit, wrong in tried:
                 swept.hit += hit
                 if wrong:
                     called = calls[point.call - 1].replace(str(self.folder), "")
@@ -220,9 +224,12 @@ class Bench:
         return swept
 
     def _try(
-        self, command: Command, point: Point, expected: dict[str, Any]
+        self, command: Command, point: Point, expected: dict[str, Any], states: set[str]
     ) -> tuple[Point, bool, str]:
-        """Disturb a run at a point: whether the signal came, and what was wrong afterwards."""
+        """Disturb a run at a point: whether the signal came, and what was wrong afterwards.
+
+        What follows depends on the files alone: a state of ``states`` was checked before.
+        """
         with self._copied(command, str(point)) as site:
             code, said = self.run(site, command, point)
             killed = point.signal == signal.SIGKILL
@@ -235,10 +242,12 @@ class Bench:
                 wrong = f"said {said!r}"
             elif not hit and not killed:
                 wrong = "the signal was lost"
-            try:
-                self.call(_afterwards, site, command, expected)
-            except AssertionError as error:
-                wrong += f" {str(error)[-600:]}"
+            if (state := site.state()) not in states:
+                states.add(state)
+                try:
+                    self.call(_afterwards, site, command, expected)
+                except AssertionError as error:
+                    wrong += f" {str(error)[-600:]}"
             return point, hit, wrong
 
 
@@ -338,10 +347,7 @@ def main() -> None:
                 print(*bench.undisturbed(COMMANDS[name])[1], sep="\n")
                 continue
             swept = bench.sweep(COMMANDS[name], signals, options.most)
-            print(
-                f"{name}: {swept.calls} calls, {swept.hit} of {swept.points} points hit, ", end=""
-            )
-            print(f"{len(swept.failures)} failures", *swept.failures[:5], sep="\n", flush=True)
+            print(swept, *swept.failures[:5], sep="\n", flush=True)
 
 
 if __name__ == "__main__":

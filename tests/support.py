@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 
 from roomtables.config import BuildConfig
@@ -25,14 +26,18 @@ class HashScorer:
     def describe(self) -> Mapping[str, str]:
         return {"model": self.scorer_id, "strategy": self.strategy}
 
-    def score(self, sentences: Sequence[str]) -> list[SentenceScore]:
-        self.asked += sentences
-        return [self.score_of(sentence) for sentence in sentences]
+    def score(
+        self, sentences: Sequence[str], starts: Sequence[int] | None = None
+    ) -> list[SentenceScore]:
+        return list(self.score_stream(sentences, starts))
 
-    def score_stream(self, sentences: Iterable[str]) -> Iterator[SentenceScore]:
-        for sentence in sentences:
+    def score_stream(
+        self, sentences: Iterable[str], starts: Iterable[int] | None = None
+    ) -> Iterator[SentenceScore]:
+        from_character = repeat(0) if starts is None else starts
+        for sentence, start in zip(sentences, from_character, strict=False):
             self.asked.append(sentence)
-            yield self.score_of(sentence)
+            yield self.score_of(f"{sentence} from {start}" if start else sentence)
 
     def score_of(self, sentence: str) -> SentenceScore:
         digest = hashlib.sha256(f"{self.scorer_id} {sentence}".encode()).digest()

@@ -11,9 +11,9 @@ from typing import Any
 from roomtables.errors import ConfigError, InputError, LabelSpaceError
 from roomtables.labels import LABEL_FILES, LabelSpace
 from roomtables.limits import LARGEST_COUNT
-from roomtables.schemas import REDUCTIONS, RULES, SOURCES
+from roomtables.schemas import REDUCTIONS, RULES, SCORED, SENTENCE, SOURCES
 from roomtables.scorer import DTYPES, SCORINGS
-from roomtables.sentences import DEFAULT_TEMPLATE, Template
+from roomtables.sentences import DEFAULT_TEMPLATE, check_templates
 
 DEFAULT_LABELS = "household"
 MOST_PRIOR_WEIGHT = 1e6
@@ -23,6 +23,7 @@ ENGINES = ("local", "ray")
 AUTO, ALL, NONE, MISSES = "auto", "all", "none", "misses"
 _CHOICES = {
     "dtype": DTYPES,
+    "scored": SCORED,
     "reduction": REDUCTIONS,
     "rule": RULES,
     "source": SOURCES,
@@ -112,6 +113,7 @@ class BuildConfig:
     scoring: str | None = None
     token_budget: int | None = None
     template: tuple[str, ...] = (DEFAULT_TEMPLATE,)
+    scored: str = SENTENCE
     reduction: str = "sum"
     smoothing: float | None = None
     k: int = 3
@@ -131,7 +133,8 @@ class BuildConfig:
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 allowed = ", ".join(str(choice) for choice in choices if choice)
-                raise ConfigError(f"{name} must be one of {allowed}, not {getattr(self, name)!r}")
+                found = repr(getattr(self, name))[:80]
+                raise ConfigError(f"{name} must be one of {allowed}, not {found}")
         if not 1 <= self.k <= 8:
             raise ConfigError(f"k must be from 1 to 8, not {self.k}")
         if self.smoothing is not None and not 0 <= self.smoothing < float("inf"):
@@ -141,9 +144,7 @@ class BuildConfig:
         if self.workers < 0:
             raise ConfigError(f"workers must be 0 (as many as fit) or more, not {self.workers}")
         check_decision(self.prior_weight, self.evidence_power)
-        if len(self.template) != 1:
-            raise ConfigError(f"template must be one sentence, not {len(self.template)}")
-        Template(self.template[0])
+        check_templates(self.template, self.scored)
 
     @classmethod
     def load(cls, path: Path | None = None, **options: Any) -> BuildConfig:

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 EXTRAS: Mapping[str, str] = {
     "accelerate": "gguf",
     "duckdb": "build",
+    "fsspec": "remote",
     "gguf": "gguf",
     "harlequin": "ui",
     "huggingface_hub": "lm",

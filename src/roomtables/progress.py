@@ -11,10 +11,17 @@ _FORMAT = (
 )
 
 
-def progress_bar(what: str, total: int | None, *, shown: bool = True, leave: bool = True) -> Any:
+def progress_bar(
+    what: str,
+    total: int | None,
+    *,
+    shown: bool = True,
+    leave: bool = True,
+    unit_scale: bool = False,
+) -> Any:
     """A tqdm bar for ``total`` items; unless ``shown`` it does nothing.
 
-    ``leave``: it stays when it is closed.
+    ``leave``: it stays when it is closed. ``unit_scale``: counts are short, such as 1.2M.
 
     Raises
     ------
@@ -24,5 +31,11 @@ def progress_bar(what: str, total: int | None, *, shown: bool = True, leave: boo
     from tqdm import tqdm
 
     return tqdm(
-        total=total, desc=what, bar_format=_FORMAT, mininterval=0.5, leave=leave, disable=not shown
+        total=total,
+        desc=what,
+        bar_format=_FORMAT,
+        mininterval=0.5,
+        leave=leave,
+        disable=not shown,
+        unit_scale=unit_scale,
     )

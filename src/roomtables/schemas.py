@@ -17,6 +17,9 @@ POOLED = "pooled"
 RULES = (QUERY, CALIBRATED, POOLED)
 
 REDUCTIONS = ("sum", "mean")
+SENTENCE, AFTER_ROOM = "sentence", "after_room"
+SCORED = (SENTENCE, AFTER_ROOM)
+"""Which tokens of a sentence count: all of them, or those behind the room's name."""
 # Entropies closer than this are equal; the label then decides (DuckDB and numpy sum in their own
 # order, and the authors' counts hold entropies less than 1e-9 apart).
 ENTROPY_DECIMALS = 10

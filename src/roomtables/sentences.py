@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from roomtables.errors import ConfigError
 from roomtables.labels import ObjectLabel, RoomLabel
+from roomtables.schemas import AFTER_ROOM, SENTENCE
 
 _OBJECTS, _ROOM = "\0objects\0", "\0room\0"  # no label holds a NUL
 DEFAULT_TEMPLATE = "A room containing {objects} is called {room}."
@@ -53,13 +54,55 @@ class Template:
         before, after = self.around_room(objects)
         return [before + room.phrase + after for room in rooms]
 
+    def starts(self, rooms: Sequence[RoomLabel], scored: str) -> list[int] | None:
+        """From which character on each room's sentence is scored; ``None``: the whole sentences.
+
+        With ``scored`` as ``after_room`` that is the character behind the room's name, in a
+        template that names the room first.
+        """
+        if scored == SENTENCE:
+            return None
+        before, _ = self._halves
+        return [len(before) + len(room.phrase) for room in rooms]
+
     def around_room(self, objects: Sequence[ObjectLabel]) -> tuple[str, str]:
         """What a sentence with these objects says before its room, and after it."""
         nouns = enumerate_nouns([label.plural for label in objects])
         before, after = self._halves
         return before.replace(_OBJECTS, nouns), after.replace(_OBJECTS, nouns)
 
+    def between_room_and_objects(self) -> str | None:
+        """What stands between the room and the objects; ``None`` where the objects come first."""
+        before, after = self._halves
+        return None if _OBJECTS in before else after.partition(_OBJECTS)[0]
+
     @property
     def _halves(self) -> tuple[str, str]:
         before, _, after = self.text.format(objects=_OBJECTS, room=_ROOM).partition(_ROOM)
         return before, after
+
+
+def check_templates(texts: Sequence[str], scored: str) -> None:
+    """Refuse templates that make no sentences, or not those that ``scored`` needs.
+
+    Raises
+    ------
+    ConfigError
+        There is none, one lacks a placeholder, or two are equal; or only what stands behind the
+        room is scored, and one names the room last, or puts nothing between room and objects: then
+        "a bath" with "towel racks" would be one sentence with "a bath towel" and "racks".
+    """
+    if not texts:
+        raise ConfigError("template must hold at least one sentence; correct it in build.toml")
+    for number, text in enumerate(texts):
+        between = Template(text).between_room_and_objects()
+        if text in texts[:number]:
+            raise ConfigError(
+                f"template {text[:200]!r} is there twice; leave one out of build.toml"
+            )
+        if scored == AFTER_ROOM and not (between or "").strip():
+            wrong = "names the room last" if between is None else "has no word between the two"
+            raise ConfigError(
+                f"template {text[:200]!r} {wrong}, but `scored` is after_room; word it like "
+                "'Things that you usually find in {room}: {objects}.', or drop `scored`"
+            )

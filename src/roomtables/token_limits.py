@@ -62,6 +62,42 @@ class TokenLimits:
         for sentence, length, end in zip(sentences, lengths, ends, strict=True):
             self.check(sentence, tokens[end - length : end].tolist(), fewest=2)
 
+    def first_scored(
+        self,
+        sentences: Sequence[str],
+        first_counted: npt.NDArray[np.int64] | None,
+        lengths: npt.NDArray[np.int64],
+    ) -> npt.NDArray[np.int64]:
+        """The first token of each sentence that a causal model scores: never the very first.
+
+        ``first_counted`` is the first of each that counts (``None``: all count), and ``lengths``
+        how many tokens each has.
+
+        Raises
+        ------
+        ModelError
+            No token of a sentence is left to score.
+        """
+        if first_counted is None:
+            return np.ones(len(sentences), np.int64)
+        first: npt.NDArray[np.int64] = np.maximum(first_counted, 1)
+        for row in np.flatnonzero(first >= lengths).tolist():
+            self.refuse_uncounted(sentences[row])
+        return first
+
+    def refuse_uncounted(self, sentence: str) -> None:
+        """Refuse a sentence with no token behind the start that was asked for.
+
+        Raises
+        ------
+        ModelError
+            Always.
+        """
+        raise ModelError(
+            f"{self.name} sees no token to score behind the start given for {quoted(sentence)}; "
+            "let the scored part be longer"
+        )
+
     def check(self, sentence: str, tokens: Sequence[int], fewest: int) -> None:
         """Refuse ``tokens`` that the model cannot score.
 

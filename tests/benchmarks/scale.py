@@ -37,7 +37,7 @@ def tokens_per_sentence(labels: str, samples: int) -> tuple[float, float]:
             for third in others
             for sentence in Template().compose([first, second, third], space.predicted_rooms)
         ]
-        tokens = [np.asarray(item).ravel().tolist() for item in backend.encode(sentences)]
+        tokens = list(backend.encode(sentences).tokens)
         sequences, _ = sort_sequences(tokens)
         before.append(sequences.lengths.mean())
         after.append(len(build_trie(sequences).token) / len(sentences))

@@ -173,7 +173,7 @@ PEERS: dict[str, Method] = {
 def bound_seconds(scorer: SentenceScorer, texts: Sequence[str]) -> float:
     """CPU seconds of the matrix products alone, for the distinct inner nodes of the trie."""
     backend: Any = scorer.backend
-    nodes = len(build_trie(sort_sequences(backend.encode(texts))[0]).token)
+    nodes = len(build_trie(sort_sequences(*backend.encode(texts))[0]).token)
     rows = min(nodes, scorer.token_budget)
     shapes = Counter(_linear_shapes(backend.forward.model))
     seconds = 0.0
@@ -245,8 +245,8 @@ def growth(folder: Path, combinations: int) -> None:
     for k, objects in [(1, 35), (2, 35), (3, 35), (4, 35), (3, 10), (3, 20)]:
         texts = sentences(k, combinations, objects)
         encoded = encode(texts)
-        nodes = len(build_trie(sort_sequences(encoded)[0]).token)
-        tokens = int(encoded.lengths.sum())
+        nodes = len(build_trie(sort_sequences(*encoded)[0]).token)
+        tokens = int(encoded.tokens.lengths.sum())
         speed = len(texts) / cpu_seconds(lambda t=texts: scorer.score(t))
         print(
             f"{k:2} {objects:8} {len(texts):10,} {tokens:9,} {nodes:8,} {speed:12,.0f}", flush=True

@@ -16,7 +16,8 @@ from robot_tables import publish
 from roomtables import RoomTables
 from roomtables.cli import main
 from roomtables.labels import LabelSpace, ObjectLabel, RoomLabel
-from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import Misses
 from scene_builders import graph, node
 from support import HashScorer
 

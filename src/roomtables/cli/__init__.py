@@ -14,6 +14,7 @@ with leaving_at_once():
     from roomtables.cli.comparing import diff
     from roomtables.cli.evaluating import evaluate_command, report_command
     from roomtables.cli.exploring import sql_command
+    from roomtables.cli.fleet import pull_command, push_command
     from roomtables.cli.labelling import classify
     from roomtables.cli.paper import paper_command
     from roomtables.cli.scenes import label, rooms, show
@@ -52,6 +53,8 @@ for command in (
     labels,
     misses_command,
     plan_command,
+    pull_command,
+    push_command,
     rollback,
     rooms,
     serve,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, TypeVar
 
 from roomtables.cli.printing import echo
 from roomtables.progress import progress_bar
@@ -26,6 +27,23 @@ def counted(items: Sequence[Item], what: str) -> Iterator[Item]:
         for item in items:
             yield item
             bar.update()
+
+
+@contextmanager
+def counted_bytes(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Called with the bytes just done and all there are to do: a bar on a terminal, with tqdm."""
+    with ExitStack() as stack:
+        bars: list[Any] = []
+
+        def done(size: int, total: int) -> None:
+            if not bars and sys.stderr.isatty():
+                with suppress(ModuleNotFoundError):
+                    bar = progress_bar(what, total, leave=False, unit_scale=True)
+                    bars.append(stack.enter_context(bar))
+            for bar in bars:
+                bar.update(size)
+
+        yield done
 
 
 def write_line(text: str) -> None:

@@ -12,7 +12,9 @@ _OPTIONS = (
     "model", "revision", "dtype", "device", "scoring", "k", "reduction", "smoothing", "counts",
     "scores", "engine", "workers",
 )  # fmt: skip
-_OF_A_FILE = ("token_budget", "template", "source", "rule", "prior_weight", "evidence_power")
+_OF_A_FILE = (
+    "token_budget", "template", "scored", "source", "rule", "prior_weight", "evidence_power",
+)  # fmt: skip
 
 
 def build_command(tables: Path, manifest: Manifest) -> str:

@@ -19,11 +19,14 @@ from roomtables.cli.common import (
 )
 from roomtables.cli.completion import complete_labels
 from roomtables.cli.printing import as_json, echo
-from roomtables.config import DEFAULT_LABELS, ENGINES, BuildConfig
+from roomtables.config import DEFAULT_LABELS, ENGINES, NONE, BuildConfig, labels_name
 from roomtables.errors import needing
 from roomtables.schemas import REDUCTIONS
 from roomtables.scorer import DTYPES, SCORINGS
-from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import Misses
+from roomtables.storage.places import shown
+from roomtables.storage.sent_misses import fetch_misses
 from roomtables.storage.spaces import find_space
 
 if TYPE_CHECKING:
@@ -70,10 +73,16 @@ def build_options(command: Command) -> Command:
 @click.command("build")
 @build_options
 @tables_option
+@click.option("--misses-from", metavar="URL", help="A place where robots push their misses.")
 @click.option("--wait", is_flag=True, help="Wait for another build in this folder to end.")
 @format_option("table", "json")
 def build_command(
-    config: Path | None, tables: Path, wait: bool, format_: str, **options: Any
+    config: Path | None,
+    tables: Path,
+    misses_from: str | None,
+    wait: bool,
+    format_: str,
+    **options: Any,
 ) -> None:
     """Build and publish the tables of a label space.
 
@@ -84,11 +93,14 @@ def build_command(
       roomtables build
       roomtables build --model ./gpt2 --dtype bfloat16 --combinations rooms.jsonl
       roomtables build --model SmolLM2-135M-Instruct.Q4_1.gguf --combinations none
+      roomtables build --combinations misses --misses-from s3://bucket/tables
     """
     with needing("`roomtables build`", "lm"):
         from roomtables.offline.builder import build
 
     found = BuildConfig.load(config, **options)
+    if misses_from is not None:
+        _fetch_misses(found, tables, misses_from)
     report = build(found, tables=tables, progress=sys.stderr.isatty(), wait=wait)
     if format_ == "json":
         emit(as_json(report.as_json()))
@@ -99,6 +111,17 @@ def build_command(
         f"{report.sentences_scored:,} sentences scored, {report.sentences_cached:,} cached, "
         f"{report.seconds:.1f} s"
     )
+
+
+def _fetch_misses(config: BuildConfig, tables: Path, url: str) -> None:
+    """Bring what robots asked for in vain into the tables folder, for the build to read."""
+    if config.combinations == NONE:
+        raise click.UsageError("--misses-from asks for combinations: leave out --combinations none")
+    done = fetch_misses(tables, labels_name(config.labels), url)
+    if done.files or done.skipped:
+        click.echo(
+            f"fetched {done.files} files of misses, {done.skipped} skipped: {shown(url)}", err=True
+        )
 
 
 @click.command("plan")

@@ -22,7 +22,10 @@ from roomtables.cli.common import (
 from roomtables.cli.printing import as_json, echo
 from roomtables.cli.rebuilding import build_command
 from roomtables.errors import StoreError
+from roomtables.schemas import SENTENCE
+from roomtables.sentences import DEFAULT_TEMPLATE
 from roomtables.storage.checked import last_checked
+from roomtables.storage.origin import origin_of
 from roomtables.storage.removal import KEPT_VERSIONS
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import Version
@@ -103,15 +106,20 @@ def _hours(age: timedelta) -> str:
 def _describe(version: Version, checked: datetime | None) -> dict[str, Any]:
     manifest = version.manifest
     asked = manifest.extends_tables or any(manifest.combinations.values())
+    origin = origin_of(version)
     return {
         "labels": manifest.labels,
         "version": version.name,
         "created": manifest.created.isoformat(),
         "checked": checked.isoformat() if checked else None,
+        "pulled_from": origin.url if origin else None,
+        "pulled": origin.moment.isoformat() if origin else None,
         "age_hours": round(_age_of(manifest.created).total_seconds() / 3600, 2),
         "scorer_id": manifest.scorer_id,
         "scores": str(manifest.settings.scores) if manifest.settings.scores else None,
         "query_scorer_id": manifest.query_scorer_id,
+        "template": list(manifest.settings.template),
+        "scored": manifest.settings.scored,
         "model": manifest.settings.model if manifest.query_scorer_id and asked else None,
         "strategy": manifest.model.get("strategy"),
         "objects": manifest.objects,
@@ -132,6 +140,9 @@ def _status_text(version: Version, found: Mapping[str, Any]) -> str:
         said["scorer_id"] = f"{manifest.scorer_id}: from the file of scores"
     if manifest.query_scorer_id and not any(manifest.combinations.values()):
         said["query_scorer_id"] = f"{manifest.query_scorer_id}: no query sentence is scored yet"
+    templates = " | ".join(found["template"])
+    said["template"] = None if templates == DEFAULT_TEMPLATE else templates
+    said["scored"] = None if found["scored"] == SENTENCE else found["scored"]
     said["checked"] = found["checked"] or "not since it was published"
     said["sources"] = ", ".join(found["sources"])
     rows = [{"what": key, "value": value} for key, value in said.items() if value is not None]

@@ -81,6 +81,7 @@ def export_onnx(
     sentences: Sequence[str],
     model: str = EMBEDDED_MODEL,
     *,
+    starts: Sequence[int] | None = None,
     revision: str | None = None,
     dtype: str = "float32",
     scoring: str | None = None,
@@ -93,6 +94,8 @@ def export_onnx(
         Made if it is not there. Where an error is raised, what is in it is of no use.
     sentences
         At least two, on which the file must be within 1e-3 nats of the model in torch.
+    starts
+        The characters from which tokens of the sentences count; None: all count.
     model, revision, dtype, scoring
         As in :func:`load_scorer`.
 
@@ -106,4 +109,4 @@ def export_onnx(
     """
     with needing("making an ONNX file", "lm"):
         from roomtables.lm.onnx_export import export
-    return export(folder, sentences, model, revision=revision, dtype=dtype, scoring=scoring)
+    return export(folder, sentences, starts, model, revision=revision, dtype=dtype, scoring=scoring)

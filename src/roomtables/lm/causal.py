@@ -14,7 +14,7 @@ from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import choose
 from roomtables.lm.strategies import ROW_NODES, Strategy, key_value, naive, padded, trie
 from roomtables.packing.sequences import FloatArray, Sequences, sort_sequences
-from roomtables.packing.tokens import IntArray, TokenLists
+from roomtables.packing.tokens import Encoded, IntArray
 
 
 class CausalBackend:
@@ -39,17 +39,17 @@ class CausalBackend:
         self.row_nodes: int | None = packing.get("row_nodes")
         self.window: int | None = packing.get("window")
 
-    def encode(self, sentences: Sequence[str]) -> TokenLists:
-        """Token ids of each sentence; see :meth:`Encoder.encode` for what it refuses."""
-        return self.encoder.encode(sentences)
+    def encode(self, sentences: Sequence[str], starts: Sequence[int] | None = None) -> Encoded:
+        """Token ids of each sentence, and which are scored; see :meth:`Encoder.encode`."""
+        return self.encoder.encode(sentences, starts)
 
-    def token_counts(self, encoded: TokenLists) -> IntArray:
-        """All tokens of a sentence but the first are scored."""
-        return encoded.lengths - 1
+    def token_counts(self, encoded: Encoded) -> IntArray:
+        """How many tokens of each encoded sentence are scored."""
+        return encoded.counts
 
-    def log_probs(self, encoded: TokenLists, budget: int, meter: Meter) -> FloatArray:
-        """Log probability in nats of each encoded sentence, ``[sentences]``."""
-        sequences, index = sort_sequences(encoded)
+    def log_probs(self, encoded: Encoded, budget: int, meter: Meter) -> FloatArray:
+        """Log probability in nats of each encoded sentence's scored tokens, ``[sentences]``."""
+        sequences, index = sort_sequences(*encoded)
         return self._run(self.forward, sequences, budget, meter)[index]
 
 

@@ -2,7 +2,8 @@
 
 They are exactly the tokens that the tokenizer's own call returns, less an EOS that it appends;
 nothing is added. The first of them is never scored: it is either a BOS, which is no part of the
-sentence, or it has no context.
+sentence, or it has no context. Where only the end of a sentence counts, the tokens are those of the
+whole sentence all the same.
 """
 
 from __future__ import annotations
@@ -11,8 +12,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from roomtables.errors import ModelError
-from roomtables.packing.tokens import TokenLists, WordTokenizer
+from roomtables.packing.tokens import (
+    Encoded,
+    IntArray,
+    TokenLists,
+    WordTokenizer,
+    first_counted,
+)
 from roomtables.token_limits import TokenLimits
 
 _PROBE = "A room containing toilets is called a bathroom."
@@ -44,22 +53,48 @@ class Encoder:
         self.context = int(min(limits)) if limits else None
         self.limits = TokenLimits(name, vocabulary, self.context)
         self.limits = replace(self.limits, appended_eos=self._find_appended_eos())
+        self._by_word: WordTokenizer | None = None
         self._tokens = self._find_fastest()
 
-    def encode(self, sentences: Sequence[str]) -> TokenLists:
-        """Token ids of each sentence; all but the first are scored.
+    def encode(self, sentences: Sequence[str], starts: Sequence[int] | None = None) -> Encoded:
+        """Token ids of each sentence; those from its start on are scored, but never the first.
 
         Raises
         ------
         ModelError
-            A sentence is empty, holds nothing to score, or is longer than the model's context.
+            A sentence is empty, holds nothing to score, or is longer than the model's context; or
+            the tokenizer cannot tell where a token begins.
         """
         self.limits.refuse_empty(sentences)
         tokens = self._tokens(sentences)
         if self.limits.appended_eos is not None:
             tokens = tokens.without_last(self.limits.appended_eos)
         self.limits.check_all(sentences, tokens.flat, tokens.lengths)
-        return tokens
+        found = None if starts is None else self._first_counted(sentences, starts)
+        return Encoded(tokens, self.limits.first_scored(sentences, found, tokens.lengths))
+
+    def offsets(self, sentences: Sequence[str]) -> list[list[tuple[int, int]]]:
+        """The characters of a sentence that each token stands for, end excluded.
+
+        Raises
+        ------
+        ModelError
+            The tokenizer cannot tell.
+        """
+        if not self.tokenizer.is_fast:
+            raise ModelError(
+                f"the tokenizer of {self.name} cannot tell where a token begins, which scoring "
+                "after_room needs; drop `scored` from build.toml, or use another --model"
+            )
+        found: list[list[tuple[int, int]]]
+        found = self.call(sentences, return_offsets_mapping=True)["offset_mapping"]
+        return found
+
+    def _first_counted(self, sentences: Sequence[str], starts: Sequence[int]) -> IntArray:
+        if self._by_word:
+            return self._by_word.first_counted(sentences, starts)
+        offsets = self.offsets(sentences)
+        return np.array(list(map(first_counted, sentences, offsets, starts)), np.int64)
 
     def call(self, sentences: Sequence[str], **options: Any) -> Any:
         """What the tokenizer's own call returns, without padding, truncation or masks.
@@ -99,9 +134,12 @@ class Encoder:
             direct = WordTokenizer(
                 core, lambda some: [each.ids for each in core.encode_batch_fast(list(some))]
             )
-            return direct if list(direct(PROBES)) == list(whole(PROBES)) else whole
+            if list(direct(PROBES)) == list(whole(PROBES)):
+                self._by_word = direct
+                return direct
         except (AttributeError, TypeError):  # a tokenizer without such a core
-            return whole
+            pass
+        return whole
 
     def _find_appended_eos(self) -> int | None:
         eos = self.tokenizer.eos_token_id

@@ -176,8 +176,9 @@ def _checked(model: str, name: str, path: Path, commit: str | None) -> ModelFold
             "save the model there with save_pretrained()"
         )
     for file in weights:
-        if not file.is_file():
-            raise ModelError(f"{model}: weight file {file.name} is missing from {path}; fetch it")
+        if not os.path.isfile(file):  # Path.is_file raises where an index lists too long a name
+            name = file.name[:80]
+            raise ModelError(f"{model}: weight file {name} is missing from {path}; fetch it")
     if not any((path / name).is_file() for name in TOKENIZER_FILES):
         raise ModelError(
             f"{model}: no tokenizer in {path}; save it there with tokenizer.save_pretrained()"

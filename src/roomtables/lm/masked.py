@@ -20,7 +20,7 @@ from roomtables.lm.forward import Forward
 from roomtables.lm.scorer import Meter
 from roomtables.lm.selfcheck import agree, in_float32
 from roomtables.packing.sequences import FloatArray, batches_by_length
-from roomtables.packing.tokens import IntArray
+from roomtables.packing.tokens import IntArray, first_counted
 
 _log = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ class _Reads(NamedTuple):
 
 
 class MaskedBackend:
-    """Sum over a sentence's tokens of log p(token | all others), special tokens left out.
+    """Sum over a sentence's scored tokens of log p(token | all others); none of them is special.
 
     Raises
     ------
@@ -75,28 +75,40 @@ class MaskedBackend:
         with in_float32(forward):
             self._check()
 
-    def encode(self, sentences: Sequence[str]) -> list[MaskedSentence]:
-        """Tokens of each sentence, and which of them are scored.
+    def encode(
+        self, sentences: Sequence[str], starts: Sequence[int] | None = None
+    ) -> list[MaskedSentence]:
+        """Tokens of each sentence, and which of them are scored: those from its start on.
 
         Raises
         ------
         ModelError
-            A sentence is empty, holds nothing to score, or is longer than the model's context.
+            A sentence is empty, holds nothing to score, or is longer than the model's context; or
+            the tokenizer cannot tell where a token begins.
         """
+        first = self._first_counted(sentences, starts)
         batch = self.encoder.call(sentences, return_special_tokens_mask=True)
         encoded = []
         for row, (sentence, tokens) in enumerate(zip(sentences, batch["input_ids"], strict=True)):
             special = batch["special_tokens_mask"][row]
-            scored = [position for position, mark in enumerate(special) if not mark]
+            ordinary = [position for position, mark in enumerate(special) if not mark]
+            scored = [position for position in ordinary if position >= first[row]]
             words = batch.word_ids(row) if self.whole_words else []
+            if ordinary and not scored:
+                self.encoder.limits.refuse_uncounted(sentence)
             if not scored:
                 raise ModelError(f"{self.encoder.name} sees no token to score in {sentence!r}")
             self.encoder.limits.check(sentence, tokens, fewest=1)
             encoded.append(MaskedSentence(tokens, scored, words))
         return encoded
 
+    def _first_counted(self, sentences: Sequence[str], starts: Sequence[int] | None) -> list[int]:
+        if starts is None:
+            return [0] * len(sentences)
+        return list(map(first_counted, sentences, self.encoder.offsets(sentences), starts))
+
     def token_counts(self, encoded: Sequence[MaskedSentence]) -> IntArray:
-        """How many tokens of each sentence are masked in turn: all but the special ones."""
+        """How many tokens of each sentence are masked in turn: the special ones never are."""
         return np.array([len(sentence.scored) for sentence in encoded], np.int64)
 
     def log_probs(self, encoded: Sequence[MaskedSentence], budget: int, meter: Meter) -> FloatArray:

@@ -54,6 +54,7 @@ _HALVES = {torch.float16: onnx.TensorProto.FLOAT16, torch.bfloat16: onnx.TensorP
 def export(
     folder: Path,
     sentences: Sequence[str],
+    starts: Sequence[int] | None,
     model: str,
     *,
     revision: str | None,
@@ -75,7 +76,7 @@ def export(
         token_budget=None,
         progress=False,
     )
-    expected = [score.log_prob for score in scorer.score(sentences)]
+    expected = [score.log_prob for score in scorer.score(sentences, starts)]
     encoder = cast(CausalBackend, scorer.backend).encoder
     tokenizer = _tokenizer_json(encoder, source, sentences)
     facts = replace(
@@ -83,12 +84,13 @@ def export(
         scorer_ids=on_every_device(source, dtype, scoring),
         probe=tuple(sentences[:_PROBES]),
         probe_nats=tuple(expected[:_PROBES]),
+        probe_starts=tuple(starts[:_PROBES]) if starts else (),
     )
     content = _with_facts(_convert(network, facts.graph, model), facts)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / MODEL_FILE).write_bytes(content)
     (folder / TOKENIZER_FILE).write_bytes(tokenizer)
-    return _checked(folder, model, sentences, expected)
+    return _checked(folder, model, (sentences, starts), expected)
 
 
 def _refuse_large(network: nn.Module, model: str) -> None:
@@ -102,13 +104,11 @@ def _refuse_large(network: nn.Module, model: str) -> None:
         )
 
 
-def _checked(
-    folder: Path, model: str, sentences: Sequence[str], expected: Sequence[float]
-) -> OnnxScorer:
-    """The scorer of the files in a folder, which gives sentences the scores expected (nats)."""
+def _checked(folder: Path, model: str, asked: tuple[Any, Any], expected: list[float]) -> OnnxScorer:
+    """The scorer of a folder's files, which gives sentences with starts the scores expected."""
     try:
         made = OnnxScorer.open(folder, probe=False)
-        found = [score.log_prob for score in made.score(sentences)]
+        found = [score.log_prob for score in made.score(*asked)]
     except ModelError as error:  # what converts need not be what the runtime runs
         raise _unconverted(model, error) from error
     apart = np.abs(np.subtract(found, expected)).max(initial=0.0)

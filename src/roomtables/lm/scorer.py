@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
-from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,6 +18,7 @@ import torch
 from roomtables.errors import ModelError
 from roomtables.packing.sequences import FloatArray
 from roomtables.packing.tokens import IntArray
+from roomtables.packing.windows import Asked, unzipped, windows
 from roomtables.progress import progress_bar
 from roomtables.scorer import ONE_THREAD_PARAMETERS, SentenceScore
 from roomtables.token_limits import quoted
@@ -43,8 +43,8 @@ class Backend(Protocol):
         """Why faster strategies were passed over, one line each."""
         ...
 
-    def encode(self, sentences: Sequence[str]) -> Any:
-        """Tokens of each sentence.
+    def encode(self, sentences: Sequence[str], starts: Sequence[int] | None = None) -> Any:
+        """Tokens of each sentence, and which of them are scored.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class Backend(Protocol):
         ...
 
     def log_probs(self, encoded: Any, budget: int, meter: Meter) -> FloatArray:
-        """Sum of log probabilities in nats of each encoded sentence, ``[sentences]``.
+        """Sum of log probabilities in nats of each sentence's scored tokens, ``[sentences]``.
 
         ``budget`` is the most tokens in one forward pass.
         """
@@ -100,19 +100,28 @@ class SentenceScorer:
         """Provenance for a manifest: model, revision, dtype, device, strategy, versions."""
         return dict(self._provenance)
 
-    def score(self, sentences: Sequence[str]) -> list[SentenceScore]:
+    def score(
+        self, sentences: Sequence[str], starts: Sequence[int] | None = None
+    ) -> list[SentenceScore]:
         """Scores (nats) in the order given.
+
+        ``starts`` are the characters from which tokens count; see
+        :meth:`roomtables.scorer.Scorer.score`.
 
         Raises
         ------
         ModelError
-            A sentence is empty or longer than the model's context, a score is not finite, or
-            memory runs out even for the smallest token budget.
+            A sentence is empty or longer than the model's context, no token of it counts, a score
+            is not finite, or memory runs out even for the smallest token budget.
         """
-        return list(self.score_stream(sentences))
+        return list(self.score_stream(sentences, starts))
 
     def score_stream(
-        self, sentences: Iterable[str], *, total: int | None = None
+        self,
+        sentences: Iterable[str],
+        starts: Iterable[int] | None = None,
+        *,
+        total: int | None = None,
     ) -> Iterator[SentenceScore]:
         """One score per sentence, in order, lazily and in bounded memory; raises as :meth:`score`.
 
@@ -121,18 +130,17 @@ class SentenceScorer:
         """
         if total is None and isinstance(sentences, Sized):
             total = len(sentences)
-        stream = iter(sentences)
         what = getattr(sentences, "what", "scoring")
         meter = Meter(total, what if self.progress else None)
         try:
-            while window := list(islice(stream, self.window)):
+            for window in windows(sentences, starts, self.window):
                 yield from self._score_window(window, meter)
         finally:
             meter.close()
 
-    def _score_window(self, window: list[str], meter: Meter) -> list[SentenceScore]:
+    def _score_window(self, window: list[Asked], meter: Meter) -> list[SentenceScore]:
         unique = list(dict.fromkeys(window))
-        encoded = self.backend.encode(unique)
+        encoded = self.backend.encode(*unzipped(unique))
         counts = self.backend.token_counts(encoded)
         meter.begin(len(window), int(counts.sum()))
         with using_threads(self.threads):
@@ -140,13 +148,13 @@ class SentenceScorer:
         bad = np.flatnonzero(~np.isfinite(log_probs))
         if len(bad):
             raise ModelError(
-                f"{self.scorer_id} gives {quoted(unique[bad[0]])} a log probability of "
+                f"{self.scorer_id} gives {quoted(unique[bad[0]][0])} a log probability of "
                 f"{log_probs[bad[0]]}; try --dtype float32, or another --model"
             )
         meter.finish()
         scores = map(SentenceScore, log_probs.tolist(), counts.tolist())
-        by_sentence = dict(zip(unique, scores, strict=True))
-        return [by_sentence[sentence] for sentence in window]
+        found = dict(zip(unique, scores, strict=True))
+        return [found[asked] for asked in window]
 
     def _log_probs(self, encoded: Any, meter: Meter) -> FloatArray:
         """Score a window, with half the token budget whenever memory runs out."""

@@ -24,6 +24,7 @@ from roomtables.packing.sequences import (
     group_by_prefix,
     padded_batches,
 )
+from roomtables.packing.tokens import IntArray
 from roomtables.packing.trie import Layout, build_trie, sum_paths
 
 Strategy = Callable[[Forward, Sequences, int, Meter], FloatArray]
@@ -81,7 +82,7 @@ def key_value(forward: Forward, sequences: Sequences, budget: int, meter: Meter)
 @torch.inference_mode()
 def _score_group(forward: Forward, sequences: Sequences, group: Group) -> FloatArray:
     matrix = sequences.matrix[group.rows, : sequences.lengths[group.rows].max()]
-    shared, count = group.prefix, len(matrix)
+    shared, count, first = group.prefix, len(matrix), sequences.first[group.rows]
     own = np.zeros(count)
     cache = None
     if shared:
@@ -99,11 +100,12 @@ def _score_group(forward: Forward, sequences: Sequences, group: Group) -> FloatA
         asked = np.concatenate([within, np.full(count, shared - 1)])
         tokens = np.concatenate([prefix[0, 1:], matrix[:, shared]])
         log_probs = forward.read(inputs, np.arange(shared), asked, tokens)
-        own += log_probs[: shared - 1].sum() + log_probs[shared - 1 :]
+        own += _of_prefix(log_probs, shared, first)
         cache.batch_repeat_interleave(count)
     rest = matrix[:, shared:]
     present = rest >= 0
-    line, column = np.nonzero(present[:, 1:])
+    place = shared + np.arange(1, rest.shape[1])
+    line, column = np.nonzero(present[:, 1:] & (place >= first[:, None]))
     if not len(line):
         return own
     width = int(column.max()) + 1  # the last token of the longest is read, never run
@@ -118,6 +120,18 @@ def _score_group(forward: Forward, sequences: Sequences, group: Group) -> FloatA
     positions = line * width + column
     log_probs = forward.read(inputs, positions, np.arange(len(line)), rest[line, column + 1])
     return own + np.bincount(line, weights=log_probs, minlength=count)
+
+
+def _of_prefix(log_probs: FloatArray, shared: int, first: IntArray) -> FloatArray:
+    """What each sequence's tokens up to the first behind a shared prefix add, ``[sequences]``.
+
+    ``log_probs`` are those of the prefix's tokens but its first, then of each sequence's next
+    token; ``first`` is each sequence's first scored token.
+    """
+    from_token = np.append(np.cumsum(log_probs[: shared - 1][::-1])[::-1], 0.0)
+    added: FloatArray = from_token[np.minimum(first, shared) - 1]
+    added += np.where(first <= shared, log_probs[shared - 1 :], 0.0)
+    return added
 
 
 def padded(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> FloatArray:
@@ -140,6 +154,6 @@ def naive(forward: Forward, sequences: Sequences, budget: int, meter: Meter) -> 
     scores = np.empty(len(sequences))
     for row in range(len(sequences)):
         tokens = sequences.row(row)
-        scores[row] = forward.sequence(tokens).sum()
+        scores[row] = forward.sequence(tokens)[sequences.first[row] - 1 :].sum()
         meter.advance(1 / len(sequences), len(tokens))
     return scores

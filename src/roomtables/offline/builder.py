@@ -201,7 +201,9 @@ class _Making:
 
     def _score(self, work: Workspace, progress: bool, asked: WorkTable) -> WorkTable:
         """See that all sentences of a table are in the cache; the view of its scores."""
-        needed = work.table("needed", f"select distinct sentence from {asked}")
+        needed = work.table(
+            "needed", f"select sentence, any_value(start) as start from {asked} group by sentence"
+        )
         count = work.count(needed)
         self.sentences += count
         if self.cache is None or not count:

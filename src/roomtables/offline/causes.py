@@ -16,6 +16,7 @@ from typing import Any
 from roomtables.config import ALL, MISSES, NONE, BuildConfig
 from roomtables.offline.label_changes import LabelChanges, Labels
 from roomtables.schemas import GROUND_TRUTH, PROXY
+from roomtables.scorer import scored_by
 from roomtables.storage.versions import Version
 
 _NAMED = 3  # causes that are named; the others are counted
@@ -24,12 +25,14 @@ _MODEL_SETTINGS = ("model", "revision", "dtype", "device", "scoring")
 _ALL_SOURCES = {"rooms.csv", "cooccurrence", "cooccurrence.sql", "entropy", "entropy.sql"}
 # What decides the probabilities and entropies of a source, under the names that stages read it.
 DECIDES: Mapping[str, frozenset[str]] = {
-    PROXY: frozenset(_ALL_SOURCES | {"objects.csv", "template", "scores", "model", "reduction"}),
+    PROXY: frozenset(
+        _ALL_SOURCES | {"objects.csv", "template", "scored", "scores", "model", "reduction"}
+    ),
     GROUND_TRUTH: frozenset(_ALL_SOURCES | {"counts", "smoothing"}),
 }
 # What decides the query sentences of a combination in the order that its objects have, and who
 # scores them.
-_SENTENCES = {"objects.csv", "rooms.csv", "template", "model"}
+_SENTENCES = {"objects.csv", "rooms.csv", "template", "scored", "model"}
 
 Stages = Mapping[str, Mapping[str, Any]]
 
@@ -101,7 +104,7 @@ class Comparison:
         before, after = was[read], now[read]
         match read:
             case "template":
-                return "template changed"
+                return _of_templates(before, after)
             case "objects.csv":
                 said = self.labels.of_objects() if self.labels else []
                 return "; ".join(said) or f"{read} changed"
@@ -141,7 +144,10 @@ class Comparison:
     def _of_model(self, before: str | None, after: str | None) -> str:
         if before is None or after is None:
             return ""  # scores that stand in for it, or combinations: named where they are read
-        names = [scorer_id.partition("@")[0] for scorer_id in (before, after)]
+        models = [scored_by(scorer_id) for scorer_id in (before, after)]
+        if models[0] == models[1]:
+            return ""  # named as `scored`
+        names = [model.partition("@")[0] for model in models]
         if names[0] != names[1]:
             return f"model {names[0]} → {names[1]}"
         for name in _MODEL_SETTINGS:
@@ -167,6 +173,17 @@ def joined(causes: Iterable[str]) -> str:
     distinct = [cause for cause in dict.fromkeys(causes) if cause]
     more = len(distinct) - _NAMED
     return "; ".join([*distinct[:_NAMED], *([f"{more} more"] if more > 0 else [])])
+
+
+def _of_templates(before: Sequence[str], after: Sequence[str]) -> str:
+    """How the list of templates changed; the first of them makes the query sentence."""
+    came, gone = len(set(after) - set(before)), len(set(before) - set(after))
+    if not came and not gone:
+        return "templates in another order"
+    if (came and gone) or before[0] != after[0]:
+        return f"template{'s' * (max(len(before), len(after)) > 1)} changed"
+    number, how = (came, "added") if came else (gone, "removed")
+    return f"template {how}" if number == 1 else f"{number} templates {how}"
 
 
 def _short(value: object) -> str:

@@ -24,7 +24,8 @@ from roomtables.sentences import Template
 from roomtables.storage.files import refuse_outside
 from roomtables.storage.lookup import key_bits, pack_keys
 from roomtables.storage.manifest import count_combinations
-from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import Misses
 from roomtables.storage.versions import SpaceFolder
 
 Ranks = NDArray[np.int64]

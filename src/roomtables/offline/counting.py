@@ -62,7 +62,8 @@ def by_formula(
     state = {found.stage: found.state for found in states}
     sentences = dict.fromkeys(ASKING, 0)
     if inputs.scores is None and state[SENTENCE_SCORES] != CACHED:
-        sentences[SENTENCE_SCORES] = len(labels.objects) * len(labels.rooms)
+        templates = len(inputs.config.template)
+        sentences[SENTENCE_SCORES] = templates * len(labels.objects) * len(labels.rooms)
     compared = Comparison(Made.of(kept), made) if kept else None
     sources = [PROXY] if inputs.counts is None else [PROXY, GROUND_TRUTH]
     if state[QUERY_SCORES] != CACHED:

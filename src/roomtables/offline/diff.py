@@ -15,7 +15,8 @@ from roomtables.storage.manifest import Manifest
 from roomtables.storage.versions import Version
 
 _SETTINGS = (
-    "template", "reduction", "smoothing", "k", "source", "rule", "prior_weight", "evidence_power",
+    "template", "scored", "reduction", "smoothing", "k", "source", "rule", "prior_weight",
+    "evidence_power",
 )  # fmt: skip
 # Numbers (nats, probabilities) that differ by less are equal: sums are not taken in one order
 # everywhere.

@@ -34,7 +34,14 @@ from roomtables.errors import (
     needing,
 )
 from roomtables.offline.model import LazyScorer
-from roomtables.offline.scoring import Scored, Work, check_identity, score_locally, scored
+from roomtables.offline.scoring import (
+    Scored,
+    Sentences,
+    Work,
+    check_identity,
+    score_locally,
+    scored,
+)
 from roomtables.progress import progress_bar
 from roomtables.storage.files import writing
 from roomtables.storage.score_cache import SentenceCache
@@ -46,6 +53,7 @@ _SHARDS_PER_WORKER = 4
 # Actors that die of one shard, or as they start, one after the other: then the build gives up.
 _MOST_DEATHS = 4
 _STARTING = ""  # in place of a shard
+_SHARD = pa.schema([("sentence", pa.string()), ("start", pa.int32())])
 
 
 def score(work: Work) -> Scored:
@@ -76,10 +84,11 @@ class ShardWriter:
 
     def __init__(self, config: BuildConfig, model: LazyScorer, cache: SentenceCache) -> None:
         self.cache = cache
+        self.scored = config.scored
         self.failure = ""
         try:
             self.scorer = model.load()
-            check_identity(self.scorer, cache)
+            check_identity(self.scorer, cache, config.scored)
         except RoomtablesError as error:
             self.failure = str(error)
 
@@ -93,8 +102,9 @@ class ShardWriter:
         return {"sentences": 0, "tokens": 0, "error": self.failure}
 
     def _scored(self, shard: str) -> dict[str, int]:
-        sentences = pq.read_table(shard).column("sentence").to_pylist()
-        found = list(scored(self.scorer, iter(sentences), len(sentences)))
+        table = pq.read_table(shard)
+        asked = zip(*(column.to_pylist() for column in table.columns), strict=True)
+        found = list(scored(self.scorer, Sentences(asked, len(table), self.scored)))
         scores = [score for _, score in found]
         self.cache.append([sentence for sentence, _ in found], scores)
         return {"sentences": len(scores), "tokens": sum(score.token_count for score in scores)}
@@ -234,7 +244,8 @@ def _write_shards(work: Work, folder: Path, workers: int) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         while chunk := list(islice(sentences, size)):
             shards.append(folder / f"shard-{len(shards):06d}.parquet")
-            pq.write_table(pa.table({"sentence": pa.array(chunk, pa.string())}), shards[-1])
+            columns = map(pa.array, zip(*chunk, strict=True), _SHARD.types)
+            pq.write_table(pa.table(list(columns), schema=_SHARD), shards[-1])
     return shards
 
 

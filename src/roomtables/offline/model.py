@@ -10,7 +10,7 @@ from roomtables.config import BuildConfig
 from roomtables.errors import MissingExtraError, ModelError
 from roomtables.lm.folders import EMBEDDED_FOLDER, EMBEDDED_MODEL
 from roomtables.onnx_lm import OnnxScorer
-from roomtables.scorer import Scorer
+from roomtables.scorer import Scorer, kept_as, scored_by
 
 log = logging.getLogger(__name__)
 
@@ -31,15 +31,16 @@ class LazyScorer:
         self._config = config
         self._scorer = given
         self.shows_progress = True
-        self._scorer_id = given.scorer_id if given else None
+        self._scorer_id = kept_as(given.scorer_id, config.scored) if given else None
 
     @property
     def scorer_id(self) -> str:
-        """The identity, from the files of the model alone."""
+        """What its scores are kept under, from the model's files and what is scored."""
         if self._scorer_id is None:
             from roomtables.lm import identify
 
-            self._scorer_id = identify(self._config.model, **self._settings())
+            found = identify(self._config.model, **self._settings())
+            self._scorer_id = kept_as(found, self._config.scored)
         return self._scorer_id
 
     def load(self, progress: bool = False) -> Scorer:
@@ -65,7 +66,7 @@ class LazyScorer:
         except ModelError as error:
             log.warning("%s; until then the model runs on torch", error)
             return None
-        if scorer.scorer_id != self.scorer_id:
+        if scorer.scorer_id != scored_by(self.scorer_id):
             return None
         self.shows_progress = False
         return scorer

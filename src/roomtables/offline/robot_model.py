@@ -8,6 +8,7 @@ from pathlib import Path
 from roomtables.errors import ModelError
 from roomtables.labels import ObjectLabel
 from roomtables.lm import export_onnx, identities
+from roomtables.scorer import kept_as, scored_by
 from roomtables.sentences import Template
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.versions import Version
@@ -36,30 +37,35 @@ def write_robot_model(version: Version, lookup: Lookup, folder: Path) -> None:
     here = identities(
         settings.model, revision=settings.revision, dtype=settings.dtype, scoring=settings.scoring
     )
-    if scored not in here:
+    if scored not in {kept_as(scorer_id, settings.scored) for scorer_id in here}:
         raise ModelError(
-            f"the tables were scored by {scored}, the model here is {here[0]}; "
+            f"the tables were scored by {scored_by(scored)}, the model here is {here[0]}; "
             "run `roomtables build`"
         )
+    asked = list(_sample(version, lookup))
+    sentences = [text for texts, _ in asked for text in texts]
     export_onnx(
         folder,
-        list(_sample(version, lookup)),
+        sentences,
         settings.model,
+        starts=[start for _, starts in asked for start in starts or ()] or None,
         revision=settings.revision,
         dtype=settings.dtype,
         scoring=settings.scoring,
     )
 
 
-def _sample(version: Version, lookup: Lookup) -> Iterator[str]:
-    """Sentences as the tables hold them: some objects alone, and some combinations of k."""
+def _sample(version: Version, lookup: Lookup) -> Iterator[tuple[list[str], list[int] | None]]:
+    """Sentences as the tables hold them, and their starts: some objects alone, and some
+    combinations of k."""
     template = Template(version.manifest.settings.template[0])
+    starts = template.starts(lookup.rooms, version.manifest.settings.scored)
     objects, size = lookup.objects, lookup.k
     for label in _spread(objects, _OBJECTS):
-        yield from template.compose([label], lookup.rooms)
+        yield template.compose([label], lookup.rooms), starts
     for label in _spread(objects, _COMBINATIONS):
         start = objects.index(label)
-        yield from template.compose(objects[start : start + size], lookup.rooms)
+        yield template.compose(objects[start : start + size], lookup.rooms), starts
 
 
 def _spread(objects: Sequence[ObjectLabel], most: int) -> Sequence[ObjectLabel]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import tee
 
 from roomtables.config import BuildConfig
 from roomtables.errors import ModelError
@@ -13,7 +14,8 @@ from roomtables.limits import FLOAT32_MAX
 from roomtables.offline.model import LazyScorer
 from roomtables.offline.workspace import Workspace, WorkTable
 from roomtables.progress import progress_bar
-from roomtables.scorer import Scorer, SentenceScore
+from roomtables.schemas import SENTENCE
+from roomtables.scorer import Scorer, SentenceScore, kept_as
 from roomtables.storage.score_cache import SentenceCache
 
 # A part is written when it holds this many sentences or is this old: what a killed build loses.
@@ -48,13 +50,12 @@ class Work:
         """What the sentences are, for people."""
         return _KINDS.get(self.asked, "sentences")
 
-    def sentences(self) -> Iterator[str]:
-        """The sentences, sorted, lazily, on a cursor of their own."""
+    def sentences(self) -> Iterator[tuple[str, int]]:
+        """The sentences, each with its start, sorted, lazily, on a cursor of their own."""
         cursor = self.workspace.connection.cursor()
-        cursor.execute(f"select sentence from {self.missing} order by sentence")
+        cursor.execute(f"select sentence, start from {self.missing} order by sentence")
         while rows := cursor.fetchmany(_FETCH):
-            for (sentence,) in rows:
-                yield sentence
+            yield from rows
 
 
 @dataclass
@@ -76,14 +77,15 @@ class Scored:
 
 
 def missing_sentences(workspace: Workspace, needed: WorkTable, cache: SentenceCache) -> WorkTable:
-    """Of the distinct sentences of a table, those that the cache lacks.
+    """Of the distinct sentences of a table, each with its start, those that the cache lacks.
 
-    They are sorted: neighbours then share the most tokens.
+    They are sorted: neighbours then share the most tokens, whichever of objects and room a template
+    names first.
     """
     held = f"select sentence from ({cache.select()})"
     return workspace.table(
         f"missing_{needed.name}",
-        f"select sentence from {needed} anti join ({held}) using (sentence) order by sentence",
+        f"from {needed} anti join ({held}) using (sentence) order by sentence",
     )
 
 
@@ -96,7 +98,7 @@ def score_locally(work: Work) -> Scored:
         The scorer's identity is not the cache's, or a score is not finite; nothing bad is kept.
     """
     scorer = work.model.load(work.progress)
-    check_identity(scorer, work.cache)
+    check_identity(scorer, work.cache, work.config.scored)
     shown = work.progress and not work.model.shows_progress
     bar = progress_bar(work.what, work.total, shown=shown)
     done = Scored()
@@ -104,7 +106,8 @@ def score_locally(work: Work) -> Scored:
     scores: list[SentenceScore] = []
     started = part_started = time.monotonic()
     try:
-        for sentence, score in scored(scorer, work.sentences(), work.total, work.what):
+        sentences = Sentences(work.sentences(), work.total, work.config.scored, work.what)
+        for sentence, score in scored(scorer, sentences):
             kept.append(sentence)
             scores.append(score)
             done.tokens += score.token_count
@@ -122,7 +125,7 @@ def score_locally(work: Work) -> Scored:
     return done
 
 
-def check_identity(scorer: Scorer, cache: SentenceCache) -> None:
+def check_identity(scorer: Scorer, cache: SentenceCache, scored: str) -> None:
     """Refuse to keep one scorer's scores under another's name.
 
     Raises
@@ -130,19 +133,34 @@ def check_identity(scorer: Scorer, cache: SentenceCache) -> None:
     ModelError
         The scorer's identity is not the cache's.
     """
-    if scorer.scorer_id != cache.scorer_id:
+    found = kept_as(scorer.scorer_id, scored)
+    if found != cache.scorer_id:
         raise ModelError(
-            f"the model is {scorer.scorer_id}, expected {cache.scorer_id}; run `roomtables build`"
+            f"the model is {found}, expected {cache.scorer_id}; run `roomtables build`"
         )
 
 
-class _Watched:
-    """Sentences on their way to a scorer, which may read ahead of what it has answered."""
+class Sentences:
+    """Sentences on their way to a scorer, which may read ahead of what it has answered.
 
-    def __init__(self, sentences: Iterator[str], total: int, what: str) -> None:
-        self._sentences = sentences
+    Parameters
+    ----------
+    asked : each sentence, and the character from which its tokens count
+    total : how many there are
+    scored : whether the starts matter, as in the settings
+    what : the label of a scorer's progress bar
+    """
+
+    def __init__(
+        self, asked: Iterable[tuple[str, int]], total: int, scored: str, what: str = "sentences"
+    ) -> None:
+        self._asked = iter(asked)
+        self._starts: Iterator[int] | None = None
+        if scored != SENTENCE:
+            self._asked, again = tee(asked)
+            self._starts = (start for _, start in again)
         self._total = total
-        self.what = what  # the label of a scorer's progress bar
+        self.what = what
         self.waiting: deque[str] = deque()
 
     def __len__(self) -> int:
@@ -150,24 +168,27 @@ class _Watched:
         return self._total
 
     def __iter__(self) -> Iterator[str]:
-        for sentence in self._sentences:
+        for sentence, _ in self._asked:
             self.waiting.append(sentence)
             yield sentence
 
+    def scores(self, scorer: Scorer) -> Iterator[SentenceScore]:
+        """What a scorer says of each."""
+        if self._starts is None:
+            return scorer.score_stream(self)
+        return scorer.score_stream(self, self._starts)
 
-def scored(
-    scorer: Scorer, sentences: Iterator[str], total: int, what: str = "sentences"
-) -> Iterator[tuple[str, SentenceScore]]:
-    """Each of ``total`` sentences with its score; ``what`` they are labels a progress bar.
+
+def scored(scorer: Scorer, sentences: Sentences) -> Iterator[tuple[str, SentenceScore]]:
+    """Each sentence with its score.
 
     Raises
     ------
     ModelError
         A score is not finite.
     """
-    watched = _Watched(sentences, total, what)
-    for score in scorer.score_stream(watched):
-        sentence = watched.waiting.popleft()
+    for score in sentences.scores(scorer):
+        sentence = sentences.waiting.popleft()
         if not abs(score.log_prob) <= FLOAT32_MAX:  # nor is NaN
             raise ModelError(
                 f"{scorer.scorer_id} gives {score.log_prob} for {sentence!r}; "

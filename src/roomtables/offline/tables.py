@@ -16,6 +16,12 @@ import duckdb
 from roomtables.config import ALL, NONE
 from roomtables.errors import ConfigError, first_line
 from roomtables.labels import names_of_objects
+from roomtables.offline.asked_sentences import (
+    PAIR,
+    new_sentences,
+    query_sentences,
+    single_sentences,
+)
 from roomtables.offline.combinations import all_combinations, query_frames
 from roomtables.offline.inputs import INPUTS, Inputs, PairValues
 from roomtables.offline.stages import QUERIES, QUERY_SCORES, SENTENCE_SCORES, Stage, stage_sql
@@ -25,8 +31,6 @@ from roomtables.sentences import Template
 from roomtables.storage.lookup import pack_keys
 
 _CHUNK = 65_536  # combinations that are held as Python objects at once
-_PAIR = (Column("object", "varchar", "object label"), Column("room", "varchar", "room label"))
-_SENTENCE = Column("sentence", "varchar", "the sentence")
 _FRAME = (
     Column("source", "varchar", "whose entropies ranked the objects"),
     Column("key", "ubigint", "the objects' ranks, packed"),
@@ -34,7 +38,6 @@ _FRAME = (
     Column("before_room", "varchar", "what the sentence says before its room"),
     Column("after_room", "varchar", "and after it"),
 )
-_PHRASE = (Column("room", "varchar", "room label"), Column("phrase", "varchar", "with its article"))
 # Work tables that a stage hands on beside its own.
 _WORK_TABLES = {"single_sentences": SENTENCE_SCORES}
 
@@ -145,15 +148,9 @@ def _names(workspace: Workspace, reads: Reads) -> list[WorkTable]:
 
 def _sentence_scores(workspace: Workspace, reads: Reads) -> list[WorkTable]:
     """The single-object sentences, and their scores; none where scores were imported."""
-    objects, rooms = reads.value("objects.csv"), reads.value("rooms.csv")
-    template = Template(reads.value("template")[0])
-    asked = () if reads.value("scores") else objects
-    rows = {
-        "object": [o.label for o in asked for _ in rooms],
-        "room": [r.label for _ in asked for r in rooms],
-        "sentence": [text for o in asked for text in template.compose([o], rooms)],
-    }
-    sentences = workspace.load("single_sentences", (*_PAIR, _SENTENCE), rows)
+    asked = () if reads.value("scores") else reads.value("objects.csv")
+    rooms, templates = reads.value("rooms.csv"), reads.value("template")
+    sentences = single_sentences(workspace, asked, rooms, templates, reads.value("scored"))
     return [sentences, reads.scores(sentences)]
 
 
@@ -173,7 +170,7 @@ def _load_pairs(
         "room": [room for (_, room), _ in rows],
         number: [value for _, value in rows],
     }
-    return workspace.load(name, (*_PAIR, Column(number, "double", "the number")), values)
+    return workspace.load(name, (*PAIR, Column(number, "double", "the number")), values)
 
 
 def _queries(workspace: Workspace, reads: Reads) -> list[WorkTable]:
@@ -223,31 +220,11 @@ def _append_frames(
         workspace.append(queries, _FRAME, rows)
 
 
-def query_sentences(workspace: Workspace, reads: Reads) -> WorkTable:
-    """A view of one row per source, combination and predicted room: its query sentence."""
-    rooms = [room for room in reads.value("rooms.csv") if room.predicted]
-    rows = {"room": [room.label for room in rooms], "phrase": [room.phrase for room in rooms]}
-    phrases = workspace.load("room_phrases", _PHRASE, rows)
-    return workspace.view(
-        "query_sentences",
-        "select source, key, room, before_room || phrase || after_room as sentence "
-        f"from {reads.table(QUERIES)} cross join {phrases}",
-    )
-
-
 def _query_scores(workspace: Workspace, reads: Reads) -> list[WorkTable]:
-    sentences = query_sentences(workspace, reads)
-    scores = reads.scores(new_sentences(workspace, sentences, reads))
+    queries, rooms = reads.table(QUERIES), reads.value("rooms.csv")
+    sentences = query_sentences(workspace, queries, rooms, reads.value("scored"))
+    scores = reads.scores(new_sentences(workspace, sentences, reads.table("single_sentences")))
     return _select(workspace, reads, [sentences, scores])
-
-
-def new_sentences(workspace: Workspace, sentences: WorkTable, reads: Reads) -> WorkTable:
-    """Of some query sentences, those that are no single-object sentences."""
-    singles = reads.table("single_sentences")
-    return workspace.view(
-        f"new_{sentences.name}",
-        f"select sentence from {sentences} anti join {singles} using (sentence)",
-    )
 
 
 def _select(

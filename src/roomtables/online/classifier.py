@@ -29,7 +29,7 @@ from roomtables.rooms import COUNTS, Room
 from roomtables.schemas import POOLED
 from roomtables.scorer import Scorer
 from roomtables.storage.lookup import Lookup
-from roomtables.storage.misses import FOLDER, MissLog
+from roomtables.storage.miss_log import FOLDER, MissLog
 from roomtables.storage.spaces import find_space
 from roomtables.storage.versions import LOOKUP, SpaceFolder, Version
 

@@ -141,7 +141,7 @@ def _ask_about_rooms(
             f"{model.labels}; leave it out of `--rooms`"
         )
     usable = source == PROXY and model.extends_tables
-    scores = model.score([([label], rooms) for label in lookup.objects]) if usable else None
+    scores = model.score_singles(lookup.objects, rooms, lookup.rooms) if usable else None
     if scores is None:
         raise InputError(
             f"no table knows room {unlisted[0]!r}, and there is no model to ask; add it to "

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roomtables.labels import ObjectLabel, RoomLabel
-from roomtables.scorer import Scorer
+from roomtables.online import rules
+from roomtables.scorer import Scorer, SentenceScore
 from roomtables.sentences import Template
 from roomtables.storage.manifest import Manifest
 
@@ -19,7 +21,8 @@ MOST_ANSWERS = 4096
 """Answers that are kept in memory, the latest: some 3 MB with 45 rooms."""
 
 Query = tuple[Sequence[ObjectLabel], Sequence[RoomLabel]]
-_Key = tuple[tuple[str, ...], tuple[RoomLabel, ...]]
+_Worded = tuple[Template, Sequence[ObjectLabel], Sequence[RoomLabel]]
+_Key = tuple[Template, tuple[str, ...], tuple[RoomLabel, ...]]
 
 
 class QueryModel:
@@ -48,7 +51,8 @@ class QueryModel:
         self._version = version
         self._scorer = scorer
         self._allowed = allowed
-        self._template = Template(manifest.settings.template[0])
+        self._templates = tuple(map(Template, manifest.settings.template))
+        self._scored: str = manifest.settings.scored
         self._reduction: str = manifest.settings.reduction
         self._loading = threading.Lock()
         self._scoring = threading.Lock()
@@ -78,16 +82,41 @@ class QueryModel:
             return self._scorer
 
     def score(self, queries: Sequence[Query]) -> list[NDArray[np.float64]] | None:
-        """S of the sentences about objects and each of some rooms, in one batched pass.
+        """S of the query sentences about objects and each of some rooms, in one batched pass.
 
-        Returns one array ``[rooms]`` in nats per query, read-only; ``None`` where there is no
-        model.
+        They have the first template. Returns one array ``[rooms]`` in nats per query, read-only;
+        ``None`` where there is no model.
 
         Raises
         ------
         ModelError
             The model cannot score a sentence.
         """
+        return self._score([(self._templates[0], *query) for query in queries])
+
+    def score_singles(
+        self,
+        objects: Sequence[ObjectLabel],
+        rooms: Sequence[RoomLabel],
+        space: Sequence[RoomLabel],
+    ) -> list[NDArray[np.float64]] | None:
+        """S(o, r) of single objects as the co-occurrence tables hold it, in one batched pass.
+
+        Of several templates it depends on all rooms of the label space, ``space``. Returns and
+        raises as :meth:`score`.
+        """
+        asked = tuple(rooms)
+        if len(self._templates) > 1:
+            asked = (*space, *(room for room in rooms if room not in space))
+        worded = [(template, [label], asked) for label in objects for template in self._templates]
+        scores = self._score(worded)
+        if scores is None:
+            return None
+        shape = (len(objects), len(self._templates), len(asked))
+        found = rules.over_templates(np.array(scores).reshape(shape), len(space))
+        return list(found[:, [asked.index(room) for room in rooms]])
+
+    def _score(self, queries: Sequence[_Worded]) -> list[NDArray[np.float64]] | None:
         scorer = self.load()
         if scorer is None:
             return None
@@ -109,9 +138,10 @@ class QueryModel:
             ]
         return [answer for answer in found if answer is not None]
 
-    def _ask(self, scorer: Scorer, queries: Collection[Query]) -> list[NDArray[np.float64]]:
-        sentences = [self._template.compose(objects, rooms) for objects, rooms in queries]
-        scores = iter(scorer.score([text for texts in sentences for text in texts]))
+    def _ask(self, scorer: Scorer, queries: Collection[_Worded]) -> list[NDArray[np.float64]]:
+        sentences = [template.compose(objects, rooms) for template, objects, rooms in queries]
+        starts = [template.starts(rooms, self._scored) for template, _, rooms in queries]
+        scores = iter(_scores(scorer, sentences, starts))
         answers = []
         for texts in sentences:
             answer = np.array([next(scores).reduced(self._reduction) for _ in texts])
@@ -120,10 +150,19 @@ class QueryModel:
         return answers
 
 
-def _key(query: Query) -> _Key:
+def _scores(
+    scorer: Scorer, sentences: Iterable[list[str]], starts: Iterable[list[int] | None]
+) -> list[SentenceScore]:
+    """The scores of all sentences, one group after the other."""
+    texts = list(chain.from_iterable(sentences))
+    from_character = list(chain.from_iterable(some or () for some in starts))
+    return scorer.score(texts, from_character) if from_character else scorer.score(texts)
+
+
+def _key(query: _Worded) -> _Key:
     """What the sentences of a query hold of the objects; and the rooms, a tuple that is shared."""
-    objects, rooms = query
-    return tuple(label.plural for label in objects), tuple(rooms)
+    template, objects, rooms = query
+    return template, tuple(label.plural for label in objects), tuple(rooms)
 
 
 class _Answers:

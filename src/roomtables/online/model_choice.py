@@ -17,7 +17,7 @@ from roomtables.errors import MissingExtraError, RoomtablesError, first_line
 from roomtables.lm import EMBEDDED_MODEL, identities, load_scorer
 from roomtables.lm.folders import EMBEDDED_FOLDER
 from roomtables.onnx_lm import MODEL_FILE, TOKENIZER_FILE, OnnxScorer
-from roomtables.scorer import Scorer
+from roomtables.scorer import Scorer, kept_as, scored_by
 from roomtables.storage.files import refuse_outside
 from roomtables.storage.manifest import FileFacts, Manifest
 from roomtables.storage.refusals import refusal
@@ -136,12 +136,14 @@ class ModelChoice:
 
     def _scored_by(self, scorer_ids: tuple[str, ...]) -> bool:
         scored = self._manifest.query_scorer_id
-        return scored is None or scored in scorer_ids
+        rule = self._manifest.settings.scored
+        return scored is None or scored in {kept_as(found, rule) for found in scorer_ids}
 
     def _other(self, scorer_id: str) -> str:
+        scored = scored_by(str(self._manifest.query_scorer_id))
         return (
-            f"the tables were scored by {self._manifest.query_scorer_id}, the model here is "
-            f"{scorer_id}; run `roomtables build`"
+            f"the tables were scored by {scored}, the model here is {scorer_id}; "
+            "run `roomtables build`"
         )
 
 

@@ -23,7 +23,7 @@ from roomtables.online.model import QueryModel
 from roomtables.online.prediction import LM, NONE, TABLE, Prediction
 from roomtables.online.ranks import ABSENT, RankedRooms
 from roomtables.schemas import PROXY
-from roomtables.storage.misses import MissLog
+from roomtables.storage.miss_log import MissLog
 
 # Limits on what one room may ask of the model; what is beyond them stays unknown.
 _LONGEST_NAME = 100  # bytes, each of which may be a token
@@ -106,7 +106,7 @@ class ModelPass:
         lookup, candidates = self._decider.lookup, self._decider.candidates
         labels = [ObjectLabel.named(name) for name in sorted(names)]
         rooms = (*lookup.rooms, *(room for room in candidates.rooms if room not in lookup.rooms))
-        scores = self._model.score([([label], rooms) for label in labels]) if labels else None
+        scores = self._model.score_singles(labels, rooms, lookup.rooms) if labels else None
         columns = [rooms.index(room) for room in candidates.rooms]
         ranked = {}
         for label, logits in zip(labels, scores or (), strict=True):

@@ -28,6 +28,22 @@ def log_softmax(scores: Array) -> Array:
     return result
 
 
+def over_templates(scores: Array, rooms: int) -> Array:
+    """S(o, r) of single objects, from the score that each template's sentence has.
+
+    Of one template it is that score; of several, the mean of each one's log softmax over the first
+    ``rooms`` of the last axis, which are those of the label space, so that no template counts for
+    more because its scores differ more: ``[…, templates, rooms and others]`` → ``[…, rooms and
+    others]``, in nats.
+    """
+    if scores.shape[-2] == 1:
+        return scores[..., 0, :]
+    of_space = scores[..., :rooms]
+    log_total = of_space[..., :1] - log_softmax(of_space)[..., :1]
+    result: Array = np.mean(scores - log_total, axis=-2)
+    return result
+
+
 def entropy(log_probabilities: Array) -> Array:
     """H = −Σ p log p over the rooms (paper equation 3), in nats; p = 0 adds nothing.
 

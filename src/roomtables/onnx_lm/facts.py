@@ -52,6 +52,7 @@ class OnnxFacts:
     parameters : the number of weights
     tokenizer_sha256 : of the file ``tokenizer.json`` that belongs to it
     probe, probe_nats : sentences, and the log probability that the torch model gives each
+    probe_starts : the characters from which tokens of the probe count; empty: all count
     scoring_rule : the version of what is scored
     """
 
@@ -69,6 +70,7 @@ class OnnxFacts:
     probe: tuple[str, ...]
     probe_nats: tuple[float, ...]
     scoring_rule: str = SCORING_RULE_VERSION
+    probe_starts: tuple[int, ...] = ()
 
     def to_json(self) -> str:
         """The value of :data:`METADATA_KEY`."""
@@ -98,7 +100,7 @@ class OnnxFacts:
     def _check(self) -> None:
         numbers = {"row_nodes", "vocabulary", "parameters"}
         optional = {"context", "appended_eos"}
-        lists = {"scorer_ids": str, "probe": str, "probe_nats": float}
+        lists = {"scorer_ids": str, "probe": str, "probe_nats": float, "probe_starts": int}
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in lists:
@@ -112,7 +114,9 @@ class OnnxFacts:
                 raise FactsError(f"its metadata are damaged (`{field.name}`)")
         if self.graph not in INPUTS or not self.scorer_ids:
             raise FactsError("its metadata are damaged (`graph`, `scorer_ids`)")
-        if min(self.row_nodes, self.vocabulary) < 1 or len(self.probe) != len(self.probe_nats):
+        probed = len(self.probe) == len(self.probe_nats)
+        probed = probed and len(self.probe_starts) in {0, len(self.probe)}
+        if min(self.row_nodes, self.vocabulary) < 1 or not probed:
             raise FactsError("its metadata are damaged (`row_nodes`, `vocabulary`, `probe`)")
         if self.scoring_rule != SCORING_RULE_VERSION:
             raise FactsError(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,9 @@ from roomtables.onnx_lm.facts import (
     OnnxFacts,
 )
 from roomtables.packing.sequences import FloatArray, Sequences, padded_batches, sort_sequences
-from roomtables.packing.tokens import WordTokenizer
+from roomtables.packing.tokens import Encoded, WordTokenizer
 from roomtables.packing.trie import Layout, build_trie, sum_paths
+from roomtables.packing.windows import unzipped, windows
 from roomtables.scorer import ONE_THREAD_PARAMETERS, TOLERANCE_NATS, SentenceScore
 from roomtables.token_limits import TokenLimits, quoted
 
@@ -78,6 +79,9 @@ class OnnxScorer:
         """
         path = Path(path)
         path = path / MODEL_FILE if path.is_dir() else path
+        # ONNX Runtime's own packages tell their maker of every session, from version 1.29 on, and
+        # leave a file in the temporary folder, unless told not to before they are imported.
+        os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
         try:
             import onnxruntime
             from tokenizers import Tokenizer
@@ -125,29 +129,34 @@ class OnnxScorer:
             "onnxruntime": self._runtime,
         }
 
-    def score(self, sentences: Sequence[str]) -> list[SentenceScore]:
+    def score(
+        self, sentences: Sequence[str], starts: Sequence[int] | None = None
+    ) -> list[SentenceScore]:
         """Scores (nats) in the order given.
+
+        ``starts`` are the characters from which tokens count; see
+        :meth:`roomtables.scorer.Scorer.score`.
 
         Raises
         ------
         ModelError
-            A sentence is empty or longer than the model's context, or a score is not finite.
+            A sentence is empty or longer than the model's context, no token of it counts, or a
+            score is not finite.
         """
-        return list(self.score_stream(sentences))
+        return list(self.score_stream(sentences, starts))
 
-    def score_stream(self, sentences: Iterable[str]) -> Iterator[SentenceScore]:
+    def score_stream(
+        self, sentences: Iterable[str], starts: Iterable[int] | None = None
+    ) -> Iterator[SentenceScore]:
         """One score per sentence, in order, in bounded memory; raises as :meth:`score`."""
-        stream = iter(sentences)
-        while window := list(islice(stream, _WINDOW)):
-            yield from self._score_window(window)
+        for window in windows(sentences, starts, _WINDOW):
+            yield from self._score_window(*unzipped(window))
 
-    def _score_window(self, window: Sequence[str]) -> list[SentenceScore]:
-        self._limits.refuse_empty(window)
-        tokens = self._tokens(window)
-        if self.facts.appended_eos is not None:
-            tokens = tokens.without_last(self.facts.appended_eos)
-        self._limits.check_all(window, tokens.flat, tokens.lengths)
-        sequences, index = sort_sequences(tokens)
+    def _score_window(
+        self, window: Sequence[str], starts: Sequence[int] | None
+    ) -> list[SentenceScore]:
+        encoded = self._encode(window, starts)
+        sequences, index = sort_sequences(*encoded)
         log_probs = self._log_probs(sequences)[index]
         bad = np.flatnonzero(~np.isfinite(log_probs))
         if len(bad):
@@ -155,8 +164,16 @@ class OnnxScorer:
                 f"{self.scorer_id} gives {quoted(window[bad[0]])} a log probability of "
                 f"{log_probs[bad[0]]}; {_AGAIN}"
             )
-        counts = tokens.lengths - 1
-        return list(map(SentenceScore, log_probs.tolist(), counts.tolist()))
+        return list(map(SentenceScore, log_probs.tolist(), encoded.counts.tolist()))
+
+    def _encode(self, window: Sequence[str], starts: Sequence[int] | None) -> Encoded:
+        self._limits.refuse_empty(window)
+        tokens = self._tokens(window)
+        if self.facts.appended_eos is not None:
+            tokens = tokens.without_last(self.facts.appended_eos)
+        self._limits.check_all(window, tokens.flat, tokens.lengths)
+        found = None if starts is None else self._tokens.first_counted(window, starts)
+        return Encoded(tokens, self._limits.first_scored(window, found, tokens.lengths))
 
     def _log_probs(self, sequences: Sequences) -> FloatArray:
         """Log probability in nats of each sequence, ``[sequences]``."""
@@ -207,7 +224,8 @@ class OnnxScorer:
         return np.asarray(log_probs, np.float64)
 
     def _check_probe(self) -> None:
-        scores = [score.log_prob for score in self.score(self.facts.probe)]
+        starts = self.facts.probe_starts or None
+        scores = [score.log_prob for score in self.score(self.facts.probe, starts)]
         apart = np.abs(np.subtract(scores, self.facts.probe_nats)).max(initial=0.0)
         if apart > TOLERANCE_NATS:
             raise ModelError(

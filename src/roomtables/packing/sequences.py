@@ -21,11 +21,13 @@ FloatArray = npt.NDArray[np.float64]
 class Sequences:
     """Distinct token sequences in lexicographic order, so that shared prefixes lie together.
 
-    ``matrix`` has shape (sequences, longest), -1 beyond each of ``lengths``.
+    ``matrix`` has shape (sequences, longest), -1 beyond each of ``lengths``. ``first`` is the first
+    token of each that is scored, 1 or more; sequences that differ in nothing else are distinct.
     """
 
     matrix: IntArray
     lengths: IntArray
+    first: IntArray
 
     def __len__(self) -> int:
         return len(self.matrix)
@@ -38,22 +40,28 @@ class Sequences:
     def take(self, chosen: npt.NDArray[np.bool_]) -> Sequences:
         """The chosen sequences, still sorted, no wider than they need."""
         lengths = self.lengths[chosen]
-        return Sequences(self.matrix[chosen, : lengths.max(initial=0)], lengths)
+        return Sequences(self.matrix[chosen, : lengths.max(initial=0)], lengths, self.first[chosen])
 
 
-def sort_sequences(encoded: Iterable[Sequence[int]]) -> tuple[Sequences, IntArray]:
-    """Sorted distinct sequences, and for each one given its index among them, ``[given]``."""
+def sort_sequences(
+    encoded: Iterable[Sequence[int]], first: IntArray | None = None
+) -> tuple[Sequences, IntArray]:
+    """Sorted distinct sequences, and for each one given its index among them, ``[given]``.
+
+    ``first`` is the first token of each that is scored; ``None``: the second token.
+    """
     tokens = TokenLists.of(encoded)
     lengths = tokens.lengths
+    first = np.ones(len(tokens), np.int64) if first is None else first
     matrix = np.full((len(tokens), lengths.max(initial=0)), -1, np.int64)
     matrix[np.arange(matrix.shape[1]) < lengths[:, None]] = tokens.flat
-    order = np.lexsort(matrix.T[::-1])
-    ordered = matrix[order]
-    first = np.ones(len(order), bool)
-    first[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    order = np.lexsort((first, *matrix.T[::-1]))
+    ordered, ordered_first = matrix[order], first[order]
+    new = np.ones(len(order), bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1) | (ordered_first[1:] != ordered_first[:-1])
     index = np.empty(len(order), np.int64)
-    index[order] = np.cumsum(first) - 1
-    return Sequences(ordered[first], lengths[order][first]), index
+    index[order] = np.cumsum(new) - 1
+    return Sequences(ordered[new], lengths[order][new], ordered_first[new]), index
 
 
 @dataclass(frozen=True)
@@ -83,7 +91,8 @@ def padded_batches(sequences: Sequences, budget: int) -> Iterator[PaddedBatch]:
         width = int(sequences.lengths[rows].max()) - 1
         matrix = sequences.matrix[rows, : width + 1]
         present = matrix >= 0
-        line, column = np.nonzero(present[:, 1:])
+        columns = np.arange(1, width + 1)
+        line, column = np.nonzero(present[:, 1:] & (columns >= sequences.first[rows, None]))
         yield PaddedBatch(
             rows=rows,
             token=np.where(present, matrix, 0)[:, :width],

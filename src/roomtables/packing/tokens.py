@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain, count
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -61,6 +61,45 @@ class TokenLists(Sequence[list[int]]):
         return TokenLists(np.delete(self.flat, ends[cut]), self.lengths - cut)
 
 
+def first_counted(text: str, offsets: Sequence[tuple[int, int]], start: int) -> int:
+    """Which token of a text is the first that begins at character ``start`` or behind it.
+
+    ``offsets`` are the characters that each token stands for, end excluded. Tokenizers disagree on
+    whether a token's leading space is among them; here a token begins behind its leading spaces.
+    The number of tokens, where none begins there.
+    """
+    for number, (begin, end) in enumerate(offsets):
+        if begin >= start or (end > start and text[begin:start].isspace()):
+            return number
+    return len(offsets)
+
+
+class Encoded(NamedTuple):
+    """Sentences as tokens, and the first token of each that is scored, with all behind it.
+
+    That is never a sentence's first token: it is a BOS, which is no part of the sentence, or it has
+    no context.
+    """
+
+    tokens: TokenLists
+    first: IntArray
+
+    @property
+    def counts(self) -> IntArray:
+        """How many tokens of each sentence are scored."""
+        return self.tokens.lengths - self.first
+
+
+class _Word(NamedTuple):
+    """A word's token ids, and the characters of the word that each of them stands for."""
+
+    ids: Sequence[int]
+    offsets: Sequence[tuple[int, int]]
+
+
+_UNKNOWN = _Word((), ())  # it cannot be tokenised on its own
+
+
 class WordTokenizer:
     """The tokens that a ``tokenizers.Tokenizer`` gives, word by word where that is the same.
 
@@ -74,7 +113,7 @@ class WordTokenizer:
     ) -> None:
         self._core = core
         self._whole = whole
-        self._known: dict[str, Sequence[int]] = {}
+        self._known: dict[str, _Word] = {}
         self._special: tuple[str, ...] = ()
         self._by_word = splits_at_spaces(core)
         if self._by_word:
@@ -88,14 +127,36 @@ class WordTokenizer:
         found = self._word_by_word(sentences) if self._by_word and len(sentences) else None
         return TokenLists.of(self._whole(sentences)) if found is None else found
 
+    def first_counted(self, sentences: Sequence[str], starts: Sequence[int]) -> IntArray:
+        """For each sentence the first token that begins at its start or behind it.
+
+        See :func:`first_counted`.
+        """
+        pairs = zip(sentences, starts, strict=True)
+        return np.fromiter((self._first_counted(*pair) for pair in pairs), np.int64, len(sentences))
+
+    def _first_counted(self, sentence: str, start: int) -> int:
+        texts = _split(sentence)
+        words = [self._word(text) for text in texts] if self._by_word else [_UNKNOWN]
+        if _UNKNOWN in words or _BREAK in sentence:
+            return first_counted(sentence, self._core.encode(sentence).offsets, start)
+        tokens = at = 0
+        for text, word in zip(texts, words, strict=True):
+            found = first_counted(text, word.offsets, start - at)
+            tokens += found
+            if found < len(word.ids):
+                break
+            at += len(text)
+        return tokens
+
     def _word_by_word(self, sentences: Sequence[str]) -> TokenLists | None:
         """``None`` where some word cannot be tokenised on its own."""
         if _BREAK in "".join(sentences):
             return None
-        split = [sentence.replace(" ", f"{_BREAK} ").split(_BREAK) for sentence in sentences]
+        split = list(map(_split, sentences))
         words = list(chain.from_iterable(split))
         number = dict(zip(dict.fromkeys(words), count(), strict=False))
-        ids = [self._ids(word) for word in number]
+        ids = [self._word(word).ids for word in number]
         if not all(ids):
             return None
         vocabulary = TokenLists.of(ids)
@@ -108,18 +169,26 @@ class WordTokenizer:
         first = np.cumsum([0, *map(len, split[:-1])])
         return TokenLists(flat, np.add.reduceat(lengths, first))
 
-    def _ids(self, word: str) -> Sequence[int]:
+    def _word(self, word: str) -> _Word:
         """A word's tokens; a sentence's first word, which has no space before it, has the special
         tokens before the sentence, too. No tokens: it cannot be tokenised on its own."""
         found = self._known.get(word)
         if found is None:
             bare = word.removeprefix(" ")
             apart = bare.split() == [bare] and not any(name in word for name in self._special)
-            found = self._core.encode(word, add_special_tokens=word == bare).ids if apart else ()
+            found = _UNKNOWN
+            if apart:
+                encoding = self._core.encode(word, add_special_tokens=word == bare)
+                found = _Word(encoding.ids, encoding.offsets) if encoding.ids else _UNKNOWN
             if len(self._known) >= _MOST_WORDS:
                 self._known.clear()
             self._known[word] = found
         return found
+
+
+def _split(sentence: str) -> list[str]:
+    """A sentence's words, each but the first with the space before it."""
+    return sentence.replace(" ", f"{_BREAK} ").split(_BREAK)
 
 
 def splits_at_spaces(core: Any) -> bool:

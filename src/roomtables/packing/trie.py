@@ -36,7 +36,8 @@ class Trie:
     edge_token: IntArray
     """The token whose log probability is read."""
     path: IntArray
-    """Edges of each sequence, shape (sequences, longest - 1); -1 beyond its end."""
+    """Edges of each sequence, shape (sequences, longest - 1); -1 beyond its end, and for tokens
+    that are not scored."""
 
 
 def build_trie(sequences: Sequences) -> Trie:
@@ -53,6 +54,8 @@ def build_trie(sequences: Sequences) -> Trie:
     parent = np.where(depth > 0, np.roll(node, 1, axis=1)[new], -1)
     token = matrix[new]
 
+    scored = present & (np.arange(matrix.shape[1]) >= sequences.first[:, None])
+
     inner = np.bincount(parent[parent >= 0], minlength=len(token)) > 0
     inner_number = np.cumsum(inner) - 1
     inner_parent = np.where(parent >= 0, inner_number[parent], -1)
@@ -68,7 +71,7 @@ def build_trie(sequences: Sequences) -> Trie:
         end=_subtree_ends(inner_parent[inner], depth[inner]),
         edge_source=inner_parent[edges],
         edge_token=token[edges],
-        path=np.where(present, edge_number[node], -1)[:, 1:],
+        path=np.where(scored, edge_number[node], -1)[:, 1:],
     )
 
 

@@ -59,7 +59,7 @@ def _about(tables: RoomTables) -> Section:
         ("query sentences from", manifest.query_scorer_id or "no model"),
         *((f"model: {key}", value) for key, value in sorted(manifest.model.items()) if value),
         ("sentence", " | ".join(settings.template)),
-        ("reduction, k", f"{settings.reduction}, {settings.k}"),
+        ("scored, reduction, k", f"{settings.scored}, {settings.reduction}, {settings.k}"),
         ("combinations held", combinations or "none"),
         ("decision", _decision_text(decision)),
         *((f"installed: {name}", found) for name in _PACKAGES if (found := _installed(name))),

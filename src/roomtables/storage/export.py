@@ -13,26 +13,17 @@ import os
 import tarfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
-from hashlib import sha256
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from roomtables.errors import InputError, needing
 from roomtables.storage.aside import replacing
 from roomtables.storage.lookup import Lookup
-from roomtables.storage.manifest import FileFacts
+from roomtables.storage.packed import Packed
 from roomtables.storage.refusals import refusal
 from roomtables.storage.scratch import scratch
-from roomtables.storage.versions import (
-    CURRENT,
-    LOOKUP,
-    MANIFEST,
-    MODEL,
-    Pointer,
-    SpaceFolder,
-    Version,
-)
+from roomtables.storage.versions import CURRENT, LOOKUP, MANIFEST, SpaceFolder, Version
 
 ROOT = "tables"
 SUFFIXES = (".tar.zst", ".tar.gz", ".tar")
@@ -96,25 +87,16 @@ def _bytes(version: Version, source: str) -> int:
 
 def _pack(stream: IO[bytes], version: Version, model: Path | None) -> None:
     space = f"{ROOT}/{version.manifest.labels}"
-    noted = version.manifest.files
-    packed = {name: noted[name] for name in sorted(noted) if name.startswith(f"{LOOKUP}/")}
-    places = {name: version.path / name for name in packed}
-    for path in sorted(model.iterdir()) if model else ():
-        name = f"{MODEL}/{path.name}"
-        packed[name], places[name] = FileFacts.of(path), path
-    manifest = replace(version.manifest, files=packed).to_bytes()
-    digest = sha256(manifest).hexdigest()
-    # Two builds may bear one name and hold other files: unpacked, neither may write into the other.
-    pointer = Pointer(f"{version.name}-{digest[:8]}", digest)
-    inside = f"{space}/{pointer.name}"
+    packed = Packed.of(version, model)
+    inside = f"{space}/{packed.pointer.name}"
     with tarfile.open(fileobj=stream, mode="w|") as archive:
-        for name, path in places.items():
+        for name, path in packed.places.items():
             with path.open("rb") as file:
                 size = os.fstat(file.fileno()).st_size
                 _add(archive, version, f"{inside}/{name}", size, file)
         for place, content in (
-            (f"{inside}/{MANIFEST}", manifest),
-            (f"{space}/{CURRENT}", pointer.to_bytes()),
+            (f"{inside}/{MANIFEST}", packed.manifest),
+            (f"{space}/{CURRENT}", packed.pointer.to_bytes()),
         ):
             _add(archive, version, place, len(content), io.BytesIO(content))
 

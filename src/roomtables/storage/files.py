@@ -10,6 +10,7 @@ import fcntl
 import hashlib
 import logging
 import os
+import re
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,6 +23,7 @@ from roomtables.storage.aside import replacing
 from roomtables.storage.refusals import refusal
 
 _CHUNK = 1 << 20  # bytes that are hashed at once
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)")  # as pathlib leaves it: one slash
 
 
 @contextmanager
@@ -113,8 +115,14 @@ def check_name(path: Path) -> None:
     Raises
     ------
     StoreError
-        The path's bytes are not UTF-8.
+        The path's bytes are not UTF-8, or it is a URL.
     """
+    if found := _URL.match(str(path)):
+        url = f"{found[1]}://{found[2]}"
+        raise StoreError(
+            f"{url} is a place, not a folder; run `roomtables pull {url} --tables tables`, then "
+            "open tables"
+        )
     try:
         str(path).encode()
     except UnicodeEncodeError as error:

@@ -35,6 +35,7 @@ from roomtables.labels import (
     normalise,
 )
 from roomtables.limits import JSON_BYTES, json_value, read_bytes
+from roomtables.schemas import SENTENCE
 from roomtables.storage.files import sha256_of
 from roomtables.storage.manifest import Manifest
 
@@ -101,6 +102,7 @@ class Lookup:
     object_aliases, room_aliases : every name that is read as it stands, normalised → its label
     k : objects in a combination at most
     template : the wordings of the sentences; the query sentence has the first
+    scored : which tokens of a sentence count, of :data:`roomtables.schemas.SCORED`
     """
 
     objects: tuple[ObjectLabel, ...]
@@ -109,6 +111,7 @@ class Lookup:
     room_aliases: Mapping[str, str]
     k: int
     template: tuple[str, ...]
+    scored: str
     reduction: str
     sources: Mapping[str, SourceArrays]
 
@@ -176,6 +179,7 @@ class Lookup:
             index["room_aliases"],
             index["k"],
             tuple(index["template"]),
+            index.get("scored", SENTENCE),  # older lookups do not say
             index["reduction"],
             {
                 source: _open_source(folder, files, shape, verify)

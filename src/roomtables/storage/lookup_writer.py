@@ -30,6 +30,7 @@ class LookupSettings(NamedTuple):
 
     k: int
     template: tuple[str, ...]
+    scored: str
     reduction: str
     source: str
     rule: str

@@ -25,6 +25,8 @@ from roomtables.storage.files import sha256_of
 # Years that every time zone's arithmetic can hold.
 _YEARS = range(1970, 9000)
 _LONGEST_NAME = 255  # of a file, in bytes
+# Settings that manifests of this schema version may lack, being older: their default is meant.
+_ADDED = {"scored"}
 
 
 def count_combinations(objects: int, k: int) -> int:
@@ -248,7 +250,7 @@ def _moment(text: str, where: str) -> datetime:
 
 
 def _settings(value: dict[str, Any]) -> BuildConfig:
-    missing = BuildConfig.recorded_names() - value.keys()
+    missing = BuildConfig.recorded_names() - value.keys() - _ADDED
     if missing:
         raise ManifestError(f"it lacks `settings.{min(missing)}`")
     try:

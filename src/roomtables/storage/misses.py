@@ -3,10 +3,12 @@
 ::
 
     tables/<label space>/misses/<host>-<process>.jsonl   a JSON line per question, only appended to
+    tables/<label space>/misses/+<robot>-<hash>.jsonl    what a robot sent: a line per combination
     tables/<label space>/misses/taken.json               how far builds have read, and what
+    tables/<label space>/misses/sent.json                how far they were sent on, and what
 
-Any number of processes may note misses while a build reads them. The files come from robots, too:
-whatever line is no miss is skipped, counted, and the first of a file is named.
+Any number of processes may note misses while a build reads them. Robots send files, too: whatever
+line is no miss is skipped, counted, and the first of a file is named.
 """
 
 from __future__ import annotations
@@ -15,14 +17,10 @@ import fcntl
 import json
 import logging
 import os
-import re
-import threading
 import time
-from collections.abc import Container, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -33,13 +31,12 @@ from roomtables.storage.files import write_aside
 
 log = logging.getLogger(__name__)
 
-FOLDER = "misses"
-_TAKEN = "taken.json"
-FILE_BYTES = 4 << 20  # of one process
-FOLDER_BYTES = 64 << 20
+TAKEN_NOTE, SENT_NOTE = "taken.json", "sent.json"
+FETCHED_PREFIX = "+"  # no file of a process here begins so
 LINE_BYTES = 64 << 10
 TAKEN = 100_000  # combinations that are remembered as taken in
 _MOST_OBJECTS = 8  # of a combination: the largest k
+_MOST_TIMES = 10**9
 _YEARS = range(1970, 9000)  # that every time zone's arithmetic can hold
 _IDLE_SECONDS = 3600.0  # a file that was read to its end may go when nobody wrote for so long
 
@@ -56,97 +53,43 @@ class Miss(NamedTuple):
     last_asked: datetime
 
 
-class MissLog:
-    """Notes misses in a file of this process. Never raises: what cannot be noted is warned of once.
-
-    Parameters
-    ----------
-    folder : the ``misses`` folder; it is made with the first miss
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._lock = threading.Lock()
-        self._warned = False
-
-    def note(self, source: str, combinations: Iterable[Sequence[str]]) -> None:
-        """Append one line per combination."""
-        asked = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        lines = [
-            json.dumps({"source": source, "objects": list(objects), "asked": asked})
-            for objects in combinations
-        ]
-        if not lines:
-            return
-        with self._lock:
-            try:
-                why = self._append(("\n".join(lines) + "\n").encode())
-            except OSError as error:
-                why = error.strerror or str(error)
-            if why and not self._warned:
-                self._warned = True
-                log.warning("misses are not noted in %s: %s", self._folder, why)
-
-    def _append(self, data: bytes) -> str | None:
-        """Write the lines; returns why not, where there is no room for them."""
-        host = re.sub(r"[^\w-]", "_", os.uname().nodename)
-        path = self._folder / f"{host}-{os.getpid()}.jsonl"
-        self._folder.mkdir(exist_ok=True)
-        with _locked(path) as file:
-            size = file.seek(0, os.SEEK_END)
-            if size + len(data) > FILE_BYTES:
-                return f"this process has noted {FILE_BYTES >> 20} MB; run a build to take them in"
-            if size == 0 and folder_bytes(self._folder) > FOLDER_BYTES:
-                return f"it holds {FOLDER_BYTES >> 20} MB; run a build to take them in"
-            if size and os.pread(file.fileno(), 1, size - 1) != b"\n":
-                data = b"\n" + data  # end what a crash or a full disk left of a line
-            return None if file.write(data) == len(data) else "the disk is full"
-
-
-def _locked(path: Path) -> FileIO:
-    """The file, open for appending, which no build removes before it is closed."""
-    while True:
-        file = FileIO(
-            os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644), "r+"
-        )
-        fcntl.flock(file, fcntl.LOCK_SH)
-        if os.fstat(file.fileno()).st_nlink:
-            return file
-        file.close()  # removed a moment ago
-
-
 @dataclass(frozen=True)
 class Misses:
     """What a ``misses`` folder held when it was read.
 
     Attributes
     ----------
-    open : misses that no build has taken in, most asked first
-    taken : source and objects of those that builds have taken in, as far as they are remembered
+    note : the file that says how far was read: by builds, or by those who sent them on
+    open : misses that are not taken in (or sent), most asked first
+    taken : source and objects of those that are, as far as they are remembered
     """
 
     folder: Path
+    note: str
     open: tuple[Miss, ...]
     taken: frozenset[Combination]
     _ends: Mapping[str, int]
 
     @classmethod
-    def read(cls, folder: Path) -> Misses:
-        """All misses of a folder; none where there is no folder."""
-        ends, taken = _read_taken(folder)
+    def read(cls, folder: Path, note: str = TAKEN_NOTE) -> Misses:
+        """All misses of a folder; none where there is no folder. Only one's own are sent on."""
+        ends, taken = _read_note(folder / note)
         counts: dict[Combination, int] = {}
         last: dict[Combination, datetime] = {}
         for path in sorted(filter(_is_text_file, folder.glob("*.jsonl"))):
+            if note == SENT_NOTE and path.name.startswith(FETCHED_PREFIX):
+                continue
             found, ends[path.name] = _new_misses(path, ends.get(path.name, 0))
-            for key, asked in found:
-                counts[key] = counts.get(key, 0) + 1
-                last[key] = max(last.get(key, asked), asked)
+            for miss in found:
+                key = miss.source, miss.objects
+                counts[key] = counts.get(key, 0) + miss.times_asked
+                last[key] = max(last.get(key, miss.last_asked), miss.last_asked)
         misses = [Miss(*key, times, last[key]) for key, times in counts.items()]
         misses.sort(key=lambda miss: (-miss.times_asked, miss.source, miss.objects))
-        return cls(folder, tuple(misses), taken, ends)
+        return cls(folder, note, tuple(misses), taken, ends)
 
-    def take_in(self, known: Container[str] | None = None) -> None:
-        """Note that a published version answers all that was open; drop files long read.
+    def take_in(self, known: Container[str] | None = None, remove: bool = True) -> None:
+        """Note that all that was open is taken in (or sent); drop files long read, if they may go.
 
         What is open is remembered by its combination, so that a build from another file of rooms
         includes it: the most asked first, and not beyond a limit. Combinations with an object that
@@ -157,7 +100,12 @@ class Misses:
         StoreError
             The folder cannot be written.
         """
-        done = [name for name in self._ends if _is_done(self.folder / name, self._ends[name])]
+        paths = {name: self.folder / name for name in self._ends}
+        done = [
+            name
+            for name, path in paths.items()
+            if (_is_done(path, self._ends[name]) if remove else not path.exists())
+        ]
         if not (self.open or done):
             return
         keys = [*sorted(self.taken), *((miss.source, miss.objects) for miss in self.open)]
@@ -169,14 +117,14 @@ class Misses:
         combinations = [[source, *objects] for source, objects in keys[:TAKEN]]
         # A crash before the second note leaves files that count as read.
         self._note_taken(self._ends, combinations)
-        gone = {name for name in done if _remove(self.folder / name, self._ends[name])}
+        gone = {name for name in done if _remove(paths[name], self._ends[name])}
         if gone:
             left = {name: end for name, end in self._ends.items() if name not in gone}
             self._note_taken(left, combinations)
 
     def _note_taken(self, ends: Mapping[str, int], combinations: Sequence[Sequence[str]]) -> None:
         content = {"read": dict(ends), "combinations": combinations}
-        write_aside(self.folder / _TAKEN, json.dumps(content, ensure_ascii=False).encode())
+        write_aside(self.folder / self.note, json.dumps(content, ensure_ascii=False).encode())
 
 
 def _is_text_file(path: Path) -> bool:
@@ -188,18 +136,9 @@ def _is_text_file(path: Path) -> bool:
         return False
 
 
-def folder_bytes(folder: Path) -> int:
-    """The size of all files of a folder, which others may write to and remove from meanwhile."""
-    total = 0
-    for path in folder.iterdir():
-        with suppress(FileNotFoundError):
-            total += path.stat().st_size
-    return total
-
-
-def _new_misses(path: Path, start: int) -> tuple[list[tuple[Combination, datetime]], int]:
-    """The misses of a file from a place on, each with its time, and the place behind them."""
-    found: list[tuple[Combination, datetime]] = []
+def _new_misses(path: Path, start: int) -> tuple[list[Miss], int]:
+    """The misses of a file from a place on, line by line, and the place behind them."""
+    found: list[Miss] = []
     skipped: list[str] = []
     try:
         with path.open("rb") as file:
@@ -230,8 +169,8 @@ def _skip_line(file: BinaryIO) -> bool:
     return False
 
 
-def _parse(line: bytes) -> tuple[Combination, datetime]:
-    """Source and objects of a miss, and when it was asked for."""
+def _parse(line: bytes) -> Miss:
+    """A line: one question, or as many as its ``times`` says."""
     value = json_value(line)
     if not isinstance(value, dict):
         raise MalformedError("not a JSON object")
@@ -248,13 +187,16 @@ def _parse(line: bytes) -> tuple[Combination, datetime]:
         moment = datetime.min
     if moment.year not in _YEARS:
         raise MalformedError(f"`asked` is no time: {str(asked)[:40]!r}")
-    return (source, tuple(objects)), moment.astimezone(timezone.utc)
+    times = value.get("times", 1)
+    if type(times) is not int or not 1 <= times <= _MOST_TIMES:
+        raise MalformedError(f"`times` is no number from 1 to {_MOST_TIMES}: {str(times)[:40]}")
+    return Miss(source, tuple(objects), times, moment.astimezone(timezone.utc))
 
 
-def _read_taken(folder: Path) -> tuple[dict[str, int], frozenset[Combination]]:
+def _read_note(path: Path) -> tuple[dict[str, int], frozenset[Combination]]:
     """How far each file was read, and the combinations read; damaged: nothing was."""
     try:
-        value: Any = json_value(read_bytes(folder / _TAKEN, JSON_BYTES))
+        value: Any = json_value(read_bytes(path, JSON_BYTES))
         ends = {str(name): max(int(end), 0) for name, end in value["read"].items()}
         taken = frozenset(
             (str(row[0]), tuple(map(str, row[1:]))) for row in value["combinations"] if row[1:]

@@ -15,14 +15,14 @@ from roomtables.storage.aside import REMOVING, asides, remove_abandoned, remove_
 from roomtables.storage.client_databases import FOLDER as DATABASES
 from roomtables.storage.evaluations import FOLDER as EVALUATIONS
 from roomtables.storage.files import is_held, refuse_outside, writing
-from roomtables.storage.misses import FOLDER as MISSES
+from roomtables.storage.miss_log import FOLDER as MISSES
 from roomtables.storage.versions import MANIFEST, NAME, STAGING, SpaceFolder
 
 KEPT_VERSIONS = 2
 # Folders of a label space in which files are written aside at any time.
 _WRITTEN_INTO = (MISSES, EVALUATIONS, DATABASES)
 # A version that is being written, by the process's id, or removed, by the version's name.
-_HALF = re.compile(rf"{re.escape(STAGING)}\d+|{re.escape(REMOVING)}{NAME.pattern}")
+_HALF = re.compile(rf"\.pulling-files|{re.escape(STAGING)}\d+|{re.escape(REMOVING)}{NAME.pattern}")
 
 log = logging.getLogger(__name__)
 

@@ -137,6 +137,7 @@ class SpaceFolder:
     """The versions of one label space under a tables folder."""
 
     def __init__(self, tables: Path, labels: str) -> None:
+        check_name(tables)
         check_name(tables / labels)
         self.labels = labels
         self.path = tables / labels

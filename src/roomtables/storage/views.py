@@ -34,7 +34,8 @@ from roomtables.storage.histories import (
     version_views,
 )
 from roomtables.storage.joined import JoinedFile, allowed, join, prefer_joined
-from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import Misses
 from roomtables.storage.refusals import refusal
 from roomtables.storage.versions import SpaceFolder, Version
 

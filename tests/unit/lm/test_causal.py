@@ -70,7 +70,9 @@ def test_any_multiset_in_any_order_under_any_budget(
 
 def test_float64_is_exact(folder: Path) -> None:
     exact = load_scorer(str(folder), dtype="float64")
-    naive = [exact.backend.forward.sequence(ids).sum() for ids in exact.backend.encode(SENTENCES)]
+    naive = [
+        exact.backend.forward.sequence(ids).sum() for ids in exact.backend.encode(SENTENCES).tokens
+    ]
     scores = [score.log_prob for score in exact.score(SENTENCES)]
     assert scores == pytest.approx(naive, abs=1e-10)
 

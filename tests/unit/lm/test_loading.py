@@ -96,6 +96,16 @@ def test_an_index_lists_safetensors_files_of_the_folder_alone(copy: Path, shard:
         identify(str(copy))
 
 
+@pytest.mark.parametrize("letters", [1, 100, 5000])
+def test_an_index_lists_what_is_not_there(copy: Path, letters: int) -> None:
+    (copy / "model.safetensors").unlink()
+    index = {"metadata": {}, "weight_map": {"lm_head.weight": "m" * letters + ".safetensors"}}
+    (copy / "model.safetensors.index.json").write_text(json.dumps(index))
+    said = refusal(copy)
+    assert "is missing" in said
+    assert len(said) < 500
+
+
 @pytest.mark.parametrize("content", ["[]", '{"weight_map": []}', "{}", "{", '{"weight_map": 5}'])
 def test_an_index_that_is_none(copy: Path, content: str) -> None:
     (copy / "model.safetensors").unlink()

@@ -130,13 +130,21 @@ def test_tables_of_another_model_are_packed_without_it_or_not_at_all(tmp_path: P
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "wording", [{}, {"template": "In {room} there are {objects}.", "scored": "after_room"}]
+)
 def test_tables_travel_with_their_model(
-    tmp_path: Path, model_folder: Callable[[str], Path]
+    wording: dict[str, str], tmp_path: Path, model_folder: Callable[[str], Path]
 ) -> None:
     model = model_folder("llama")
     labels = str(write_space(tmp_path / "labels", small_space()))
     tables = tmp_path / "tables"
-    options = {"labels": labels, "combinations": "none", "model": str(model), "device": "cpu"}
+    options = {
+        "labels": labels,
+        "combinations": "none",
+        "model": str(model),
+        "device": "cpu",
+    } | wording
     build(tables=tables, **options)
     archive = tmp_path / "tables.tar"
     command = ["export", "--with-model", "-o", str(archive), "--labels", "small"]

@@ -12,7 +12,8 @@ import pytest
 from roomtables import RoomTables, build
 from roomtables.labels import LabelSpace
 from roomtables.offline.combinations import Asked
-from roomtables.storage.misses import Misses, MissLog
+from roomtables.storage.miss_log import MissLog
+from roomtables.storage.misses import Misses
 from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, small_space, write_space
 

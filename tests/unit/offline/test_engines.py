@@ -77,7 +77,7 @@ def parts(tables):
 
 def test_an_actor_hands_on_what_a_user_can_correct(tmp_path):
     shard = tmp_path / "shard.parquet"
-    pq.write_table(pa.table({"sentence": ["A room."]}), shard)
+    pq.write_table(pa.table({"sentence": ["A room."], "start": [0]}), shard)
     cache = SentenceCache(tmp_path, "hash@1").run_folder()
     broken = Broken(ModelError("no score"))
     for scorer, said in ((broken, "no score"), (HashScorer("x"), "expected hash@1")):

@@ -10,7 +10,8 @@ import pytest
 from roomtables import build
 from roomtables.config import BuildConfig, pipeline_folder
 from roomtables.offline.plan import plan
-from roomtables.storage.misses import FOLDER, MissLog
+from roomtables.sentences import Template
+from roomtables.storage.miss_log import FOLDER, MissLog
 from roomtables.storage.versions import SpaceFolder
 from support import HashScorer
 
@@ -80,6 +81,7 @@ def site(tmp_path):
 
 
 KINDS = {}
+FILES = (".csv", ".jsonl")
 
 
 def kind(stage, why, before=None, exact=True):
@@ -95,6 +97,29 @@ def kind(stage, why, before=None, exact=True):
 @kind("sentence_scores", "template changed")
 def another_template(site):
     site.options["template"] = "Rooms with {objects}: {room}."
+
+
+@kind("sentence_scores", "template added", exact=False)
+def another_template_beside_it(site):
+    site.options["template"] = [Template().text, "Rooms with {objects}: {room}."]
+
+
+TWO = ["Rooms with {objects}: {room}.", "A place of {objects} is {room}."]
+
+
+@kind("sentence_scores", "template removed", {"template": TWO})
+def one_template_less(site):
+    site.options["template"] = TWO[:1]
+
+
+@kind("sentence_scores", "templates in another order", {"template": TWO})
+def templates_turned_round(site):
+    site.options["template"] = TWO[::-1]
+
+
+@kind("sentence_scores", "scored sentence → after_room", {"template": "In {room}: {objects}."})
+def only_what_stands_behind_the_room(site):
+    site.options["scored"] = "after_room"
 
 
 @kind("sentence_scores", "hash: weights, tokenizer or device changed")
@@ -328,7 +353,7 @@ def another_schema_version(site):
 @pytest.mark.parametrize("name", KINDS)
 def test_a_change_is_named_and_its_sentences_are_foretold(site, name):
     change, stage, why, before, exact = KINDS[name]
-    files = {n: site.root / value for n, value in before.items() if "." in str(value)}
+    files = {n: site.root / v for n, v in before.items() if str(v).endswith(FILES)}
     site.options = before | {n: str(p) if n == "combinations" else p for n, p in files.items()}
     site.build()
     change(site)

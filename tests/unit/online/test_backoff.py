@@ -10,7 +10,8 @@ import pytest
 from roomtables import RoomTables, evaluate
 from roomtables.errors import InputError
 from roomtables.rooms import Room
-from roomtables.storage.misses import FOLDER, Misses
+from roomtables.storage.miss_log import FOLDER
+from roomtables.storage.misses import Misses
 from tiny_tables import FitScorer, build_tables
 
 HELD, MISSED = ["bed", "lamp"], ["oven", "fridge", "Chair_7"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -88,6 +89,21 @@ def test_a_miss_runs_without_torch(tables: Path) -> None:
     command = [sys.executable, "-c", code, str(tables), *MISS]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("lm\n\n", "")
+
+
+def test_onnx_runtime_tells_nobody_of_a_session(tables: Path, tmp_path: Path) -> None:
+    """Its telemetry, on by default but where ``CI`` is set, leaves a file where it begins."""
+    code = (
+        "import sys; from roomtables import RoomTables\n"
+        "print(RoomTables.open(sys.argv[1], 'small').classify(sys.argv[2:]).answered_by)\n"
+    )
+    unset = {"CI", "ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS"}
+    environment = {name: value for name, value in os.environ.items() if name not in unset}
+    command = [sys.executable, "-c", code, str(tables), *MISS]
+    environment["TMPDIR"] = str(tmp_path)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout == "lm\n"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("scored_by", OF_HOUSEHOLD_LM)

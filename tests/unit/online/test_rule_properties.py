@@ -51,7 +51,7 @@ def pooled(scores, bias=None, prior_weight=0.5, evidence_power=3.0):
     )
     lookup = Lookup(
         space.objects, space.rooms, space.object_aliases, space.room_aliases,
-        3, ("{objects} {room}",), "sum", {"proxy": arrays},
+        3, ("{objects} {room}",), "sentence", "sum", {"proxy": arrays},
     )  # fmt: skip
     manifest = made_manifest(Path("nowhere"), labels=space.name)
     model = QueryModel(manifest, allowed=False)

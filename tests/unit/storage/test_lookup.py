@@ -24,7 +24,7 @@ from roomtables.storage.manifest import Manifest
 from roomtables.storage.versions import SpaceFolder
 from support import HashScorer, made_manifest, small_space, write_space
 
-SETTINGS = LookupSettings(3, ("{objects} {room}",), "sum", "proxy", "query", 0.5, 3.0)
+SETTINGS = LookupSettings(3, ("{objects} {room}",), "sentence", "sum", "proxy", "query", 0.5, 3.0)
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from roomtables.storage import misses
-from roomtables.storage.misses import Misses, MissLog
+from roomtables.storage import miss_log, misses
+from roomtables.storage.miss_log import MissLog
+from roomtables.storage.misses import Misses
 
 
 def asked(folder: Path) -> dict[tuple[str, ...], int]:
@@ -184,7 +185,7 @@ def test_a_damaged_note_of_what_was_read_means_read_again(tmp_path: Path, conten
 def test_files_are_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(misses, "FILE_BYTES", 1000)
+    monkeypatch.setattr(miss_log, "FILE_BYTES", 1000)
     log = MissLog(tmp_path)
     for _ in range(100):
         log.note("proxy", [("bed", "lamp")])
@@ -197,7 +198,7 @@ def test_folders_are_bounded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "other-1.jsonl").write_bytes(b"\n" * 100)
-    monkeypatch.setattr(misses, "FOLDER_BYTES", 99)
+    monkeypatch.setattr(miss_log, "FOLDER_BYTES", 99)
     MissLog(tmp_path).note("proxy", [("bed",)])
     assert asked(tmp_path) == {}
     assert "not noted" in caplog.text
@@ -224,14 +225,14 @@ def test_a_full_disk_leaves_a_torn_line_and_no_error(
 ) -> None:
     log = MissLog(tmp_path)
     log.note("proxy", [("bed",)])
-    whole = misses.FileIO.write
+    whole = miss_log.FileIO.write
 
-    class Full(misses.FileIO):
+    class Full(miss_log.FileIO):
         def write(self, data: object) -> int:
             return whole(self, bytes(data)[:7])  # type: ignore[call-overload]
 
     with monkeypatch.context() as patched:
-        patched.setattr(misses, "FileIO", Full)
+        patched.setattr(miss_log, "FileIO", Full)
         log.note("proxy", [("sink",)])
     log.note("proxy", [("lamp",)])
     assert asked(tmp_path) == {("bed",): 1, ("lamp",): 1}
@@ -240,7 +241,7 @@ def test_a_full_disk_leaves_a_torn_line_and_no_error(
 
 def test_threads_and_processes_note_at_once_while_a_build_reads(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from roomtables.storage.misses import MissLog\n"
+        "import sys; from pathlib import Path; from roomtables.storage.miss_log import MissLog\n"
         "log = MissLog(Path(sys.argv[1]))\n"
         "for _ in range(200): log.note('proxy', [('bed', sys.argv[2])])"
     )

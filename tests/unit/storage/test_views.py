@@ -9,7 +9,7 @@ import pytest
 from roomtables import RoomTables, build
 from roomtables.config import pipeline_folder
 from roomtables.errors import InputError, StoreError
-from roomtables.storage.misses import FOLDER
+from roomtables.storage.miss_log import FOLDER
 from roomtables.storage.versions import SpaceFolder
 from roomtables.storage.views import connect, select
 from sql_fixtures import save_evaluation

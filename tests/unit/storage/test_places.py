@@ -1,0 +1,167 @@
+"""Tables travel through a place: what arrives is what was sent, or nothing changes."""
+
+import hashlib
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from robot_tables import publish
+from roomtables import RoomTables
+from roomtables.errors import InputError, StoreError
+from roomtables.labels import LabelSpace
+from roomtables.storage.pulling import FETCHED, pull
+from roomtables.storage.pushing import push
+from roomtables.storage.versions import SpaceFolder
+from support import HashScorer
+
+SPACE = LabelSpace.named("home", ["bed", "sink", "stove", "toilet"], ["bathroom", "kitchen"])
+
+
+@pytest.fixture
+def built(tmp_path):
+    tables = tmp_path / "built"
+    publish(tables, SPACE, HashScorer())
+    return tables
+
+
+@pytest.fixture(params=["file", "memory"])
+def url(request, tmp_path):
+    if request.param == "file":
+        return f"file://{tmp_path}/place"
+    pytest.importorskip("fsspec")
+    return f"memory://{tmp_path.name}"
+
+
+def scores(tables):
+    return RoomTables.open(tables, "home", offline=True).classify(["bed", "sink"]).probabilities
+
+
+def test_what_arrives_answers_as_what_was_sent(built, url, tmp_path):
+    assert push(built, "home", url).moved
+    done = pull(tmp_path / "robot", "home", url)
+    assert done.new
+    assert done.bytes_fetched > 0
+    assert scores(tmp_path / "robot") == scores(built)
+    again = push(built, "home", url)
+    assert (again.files, again.moved) == (0, False)
+    assert not pull(tmp_path / "robot", "home", url).new
+
+
+def test_only_what_changed_is_fetched(built, url, tmp_path):
+    push(built, "home", url)
+    first = pull(tmp_path / "robot", "home", url)
+    publish(built, SPACE, HashScorer(), prior_weight=0.25)
+    push(built, "home", url)
+    second = pull(tmp_path / "robot", "home", url)
+    assert second.new
+    assert second.bytes_here > 0
+    assert second.bytes_fetched < first.bytes_fetched
+
+
+def test_a_damaged_version_is_mended_by_the_next_pull(built, url, tmp_path):
+    push(built, "home", url)
+    pull(tmp_path / "robot", "home", url)
+    (array, *_) = (tmp_path / "robot" / "home").glob("0*/lookup/*scores*.npy")
+    array.write_bytes(b"x")
+    assert pull(tmp_path / "robot", "home", url).new
+    assert scores(tmp_path / "robot") == scores(built)
+
+
+def contents(tmp_path):
+    return max((tmp_path / "place/home/files").iterdir(), key=lambda path: path.stat().st_size)
+
+
+@pytest.mark.parametrize("change", [lambda b: b[:-1], lambda b: b[::-1], lambda b: b""])
+def test_a_wrong_file_at_the_place_changes_nothing(built, tmp_path, change):
+    url = f"file://{tmp_path}/place"
+    push(built, "home", url)
+    robot = tmp_path / "robot"
+    pull(robot, "home", url)
+    publish(built, SPACE, HashScorer("other@1"))
+    push(built, "home", url)
+    before = scores(robot)
+    for path in (tmp_path / "place/home/files").iterdir():
+        path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(StoreError):
+        pull(robot, "home", url)
+    assert scores(robot) == before
+    push(built, "home", url)
+
+
+def test_a_cut_transfer_goes_on_where_it_was(built, tmp_path):
+    url = f"file://{tmp_path}/place"
+    push(built, "home", url)
+    largest = contents(tmp_path)
+    whole = largest.read_bytes()
+    largest.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(StoreError):
+        pull(tmp_path / "robot", "home", url)
+    part = tmp_path / "robot/home" / FETCHED / largest.name
+    assert part.stat().st_size == len(whole) // 2
+    largest.write_bytes(whole)
+    done = pull(tmp_path / "robot", "home", url)
+    sent = sum(path.stat().st_size for path in (tmp_path / "place/home/files").iterdir())
+    assert 0 < done.bytes_fetched <= sent - len(whole) // 2
+    assert not part.parent.exists()
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/etc/evil", "lookup/../../evil", "CURRENT"])
+def test_a_hostile_index_writes_nothing_outside(built, tmp_path, name):
+    url = f"file://{tmp_path}/place"
+    push(built, "home", url)
+    (index,) = (tmp_path / "place/home/versions").iterdir()
+    value = json.loads(index.read_text())
+    value["files"][name] = next(iter(value["files"].values()))
+    index.write_text(json.dumps(value))
+    digest = hashlib.sha256(index.read_bytes()).hexdigest()
+    (tmp_path / "place/home/CURRENT").write_text(f"{index.stem} {digest}\n")
+    with pytest.raises(StoreError):
+        pull(tmp_path / "robot", "home", url)
+    assert not list(tmp_path.rglob("evil"))
+    assert not (tmp_path / "robot/home/CURRENT").exists()
+
+
+def test_old_versions_go_and_the_published_one_stays(built, tmp_path):
+    url = f"file://{tmp_path}/place"
+    for weight in (0.1, 0.2, 0.3, 0.4):
+        publish(built, SPACE, HashScorer(), prior_weight=weight)
+        push(built, "home", url, keep=2)
+    versions = tmp_path / "place/home/versions"
+    assert len(list(versions.iterdir())) == 4  # all written lately
+    space = SpaceFolder(built, "home")
+    space.point_at(space.versions()[0])
+    push(built, "home", url, keep=2)
+    past = time.time() - 7200
+    for path in (tmp_path / "place").rglob("*"):
+        os.utime(path, (past, past))
+    removed = push(built, "home", url, keep=1).removed
+    assert removed > 0
+    assert pull(tmp_path / "robot", "home", url).new
+    arrived = SpaceFolder(tmp_path / "robot", "home").current().manifest
+    needed = {facts.sha256 for facts in arrived.files.values()}
+    assert needed <= {path.name for path in (tmp_path / "place/home/files").iterdir()}
+
+
+def test_a_place_is_no_folder():
+    with pytest.raises(StoreError, match=r"run `roomtables pull s3://b/t --tables tables`"):
+        RoomTables.open("s3://b/t")
+    with pytest.raises(InputError, match="is no URL"):
+        pull(Path("tables"), "home", "somewhere")
+
+
+def test_progress_counts_every_byte_once(built, tmp_path):
+    url = f"file://{tmp_path}/place"
+    for run in (push, pull, push, pull):
+        calls = []
+        run(
+            built if run is push else tmp_path / "robot",
+            "home",
+            url,
+            progress=lambda *c, to=calls: to.append(c),
+        )
+        assert all(total == sum(done for done, _ in calls) for _, total in calls)
+        files = [path.stat().st_size for path in (tmp_path / "place/home/files").iterdir()]
+        assert sum(done for done, _ in calls) == sum(files) or (run is pull and not calls)
