@@ -19,6 +19,18 @@ TIERS = {
     "rarely": 0.05,
 }
 SYNONYM_SHARE = 0.2  # of an object's mentions
+# Where rooms of a setting are found.
+SETTINGS = {
+    "home": ("house", "apartment", "flat", "home", "villa", "cottage"),
+    "office": ("office building", "company", "bank", "town hall"),
+    "school": ("school", "university", "college", "kindergarten"),
+    "hotel": ("hotel", "guesthouse", "inn", "resort"),
+    "shop": ("shopping mall", "shopping street", "town", "village"),
+    "hospital": ("hospital", "clinic", "nursing home", "health center"),
+    "restaurant": ("restaurant", "hotel", "shopping mall", "pub"),
+    "public": ("city", "public building", "town", "museum"),
+    "industrial": ("factory", "warehouse", "company", "farm"),
+}
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 from . import english
-from .facts import SYNONYM_SHARE, Room, Thing
+from .facts import SETTINGS, SYNONYM_SHARE, Room, Thing
 from .marks import Answer, Evidence, Marked, marked
 from .world import World
 
@@ -25,17 +25,6 @@ _NAMING_SLOTS = frozenset(["objects", "plurals", "bare_list"])
 _LIST_SLOTS = _NAMING_SLOTS | {"is_are", "them", "more", "digit"}
 _DIGITS = ("two", "three", "four", "five", "six", "seven", *"23456789")
 MarkObject = Callable[[Sequence[str], str, str, str], str]
-_SETTINGS = {
-    "home": ("house", "apartment", "flat", "home", "villa", "cottage"),
-    "office": ("office building", "company", "bank", "town hall"),
-    "school": ("school", "university", "college", "kindergarten"),
-    "hotel": ("hotel", "guesthouse", "inn", "resort"),
-    "shop": ("shopping mall", "shopping street", "town", "village"),
-    "hospital": ("hospital", "clinic", "nursing home", "health center"),
-    "restaurant": ("restaurant", "hotel", "shopping mall", "pub"),
-    "public": ("city", "public building", "town", "museum"),
-    "industrial": ("factory", "warehouse", "company", "farm"),
-}
 
 
 class Scene:
@@ -288,7 +277,7 @@ class Scene:
         return self.rng.choice(self.room.description)
 
     def _slot_setting_place(self) -> str:
-        return self.rng.choice(_SETTINGS[self.room.setting])
+        return self.rng.choice(SETTINGS[self.room.setting])
 
     def _slot_a_setting_place(self) -> str:
         return english.with_article(self._slot_setting_place())
