@@ -57,26 +57,20 @@ def push_command(
       roomtables push s3://bucket/tables
       roomtables push s3://bucket/tables --misses
     """
-    if misses:
-        if all_files or with_model:
-            raise click.UsageError("--misses sends no tables: leave out --all and --with-model")
-        _push_misses(url, tables, find_space(tables, labels).labels, format_)
-        return
-    write_model: WriteModel | None = None
-    if with_model:
-        from roomtables.offline.robot_model import write_robot_model
-
-        write_model = write_robot_model
-
-    started = time.monotonic()
     space = find_space(tables, labels).labels
+    if misses and (all_files or with_model):
+        raise click.UsageError("--misses sends no tables: leave out --all and --with-model")
+    if misses:
+        _push_misses(url, tables, space, format_)
+        return
+    started = time.monotonic()
     with counted_bytes("pushing") as progress:
         done = push(
             tables,
             space,
             url,
             all_files=all_files,
-            write_model=write_model,
+            write_model=_robot_model() if with_model else None,
             keep=keep,
             progress=progress,
         )
@@ -89,6 +83,12 @@ def push_command(
         f"{what} {done.labels} {done.version} to {shown(url)}: {done.files} files, "
         f"{_size(done.bytes)} sent, {done.removed} old versions removed, {seconds:.1f} s"
     )
+
+
+def _robot_model() -> WriteModel:
+    from roomtables.offline.robot_model import write_robot_model
+
+    return write_robot_model
 
 
 def _push_misses(url: str, tables: Path, labels: str, format_: str) -> None:
