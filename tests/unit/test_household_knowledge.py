@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 import csv
-import math
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pipeline.household_lm.bayes import log_presence
 from pipeline.household_lm.facts import load_facts
+from pipeline.household_lm.knowledge_scores import knowledge_scores
 from pipeline.household_lm.label_space import MERGED, ROOMS
 
 from roomtables.config import load_labels
 from roomtables.names import NameReader
 
 EVERYDAY = Path(__file__).parents[1] / "data" / "everyday_rooms.csv"
-NOT_MENTIONED, NEVER = 0.02, 0.005  # how typical an object is of a room
 SHARE_RIGHT = 0.85  # 89 % as the files are; a few rooms on the list may be either of two
 
 FACTS = load_facts()
+PRESENCE = log_presence(FACTS)
+THINGS = {name: row for row, name in enumerate(FACTS.things)}
+COLUMNS = {name: column for column, name in enumerate(FACTS.rooms)}
 READER = NameReader(load_labels("household").object_names)
-
-
-def typical(room: str, thing: str) -> float:
-    """How probable it is that a room of the kind holds the object."""
-    facts = FACTS.rooms[room]
-    return facts.objects.get(thing, NEVER if thing in facts.never else NOT_MENTIONED)
 
 
 def best_room(names: list[str]) -> str:
     """The candidate of label space household in which the named objects are most probable."""
     labels = [READER.read(name).label for name in names]
-    return max(ROOMS, key=lambda room: sum(math.log(typical(room, label)) for label in labels))
+    return max(ROOMS, key=lambda room: sum(PRESENCE[THINGS[o], COLUMNS[room]] for o in labels))
 
 
 def test_most_everyday_rooms_are_told_by_their_objects():
@@ -68,3 +66,12 @@ def test_a_bland_thing_is_stated_for_nearly_every_room():
         rooms = FACTS.rooms.values()
         stated = sum(thing in room.objects or thing in room.never for room in rooms)
         assert stated >= 0.9 * len(rooms), thing
+
+
+def test_the_knowledges_scores_are_bayes_rule_for_one_object():
+    scores = {(o, r): score for o, r, score in knowledge_scores("mpcat40")}
+    assert len(scores) == 35 * 27
+    toilet = PRESENCE[THINGS["toilet"]]
+    posterior = toilet - np.log(np.exp(toilet).sum())
+    assert scores["toilet", "bathroom"] == pytest.approx(posterior[COLUMNS["bathroom"]], abs=1e-12)
+    assert scores["toilet", "none"] == pytest.approx(posterior.min(), abs=1e-12)
