@@ -7,7 +7,6 @@ averaged weights are exported in float16 to ``--output``, and as an ONNX file fo
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +56,7 @@ def _log(training: Training, loss: float, judge_sets: int) -> None:
     row = {
         "step": training.step,
         "tokens": training.step * training.recipe.batch_tokens,
-        "cpu_seconds": round(time.process_time()),
+        "cpu_seconds": round(training.cpu_seconds),
         "training_loss": loss,
         **training.measure(judge_sets),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,12 @@ class Training:
         self.average.load_state_dict(self.model.state_dict())
         self.optimizers = _optimizers(self.model, recipe)
         self.step, self.position = 0, (0, 0)
+        self._spent = 0.0
+
+    @property
+    def cpu_seconds(self) -> float:
+        """What the training took so far, over all processes that went on with it."""
+        return self._spent + time.process_time()
 
     def save(self) -> None:
         """Write a checkpoint beside the old one, then replace it."""
@@ -91,6 +98,7 @@ class Training:
             "step": self.step,
             "position": self.position,
             "random": torch.get_rng_state(),
+            "cpu_seconds": self.cpu_seconds,
         }
         torch.save(state, aside)
         os.replace(aside, self.checkpoint)
@@ -117,6 +125,7 @@ class Training:
             optimizer.load_state_dict(saved)
         self.step, self.position = state["step"], tuple(state["position"])
         torch.set_rng_state(state["random"])
+        self._spent = state["cpu_seconds"] - time.process_time()
 
     def update(self, batch: Batch) -> float:
         """Make one step; returns the batch's mean loss in nats per token."""
