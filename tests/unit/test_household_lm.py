@@ -50,7 +50,7 @@ def test_it_prefers_what_makes_sense(pairs: list[tuple[str, str]]) -> None:
         for pair, sensible, other in zip(pairs, scores[::2], scores[1::2], strict=True)
         if sensible.log_prob <= other.log_prob
     ]
-    assert len(wrong) <= 0.05 * len(pairs), wrong
+    assert len(wrong) <= 0.1 * len(pairs), wrong
 
 
 def test_the_pairs_are_phrased_as_nothing_in_the_corpus(pairs: list[tuple[str, str]]) -> None:
