@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 KNOWLEDGE = Path(__file__).parent / "knowledge"
-TIERS = ("nearly_always", "often", "sometimes", "rarely", "never")
+TIERS = ("nearly_always", "usually", "often", "sometimes", "seldom", "rarely", "never")
+OPTIONAL = {"usually", "seldom"}  # the tiers between: a room need not have them
 LISTS = ("synonyms", "purpose", "description", "near", *TIERS)
 SETTINGS = frozenset(
     {"home", "office", "school", "hotel", "shop", "hospital", "restaurant", "public", "industrial"}
@@ -54,17 +55,18 @@ def object_problems(rows: list[dict[str, str]]) -> list[str]:
 
 def room_problems(file: str, room: dict[str, Any], objects: set[str], rooms: set[str]) -> list[str]:
     """Return one line per problem of one room file."""
-    keys = {"room", "setting", *LISTS}
-    if set(room) != keys:
-        return [f"{file}: missing or unknown keys: {', '.join(sorted(set(room) ^ keys))}"]
+    required = {"room", "setting", *LISTS} - OPTIONAL
+    wrong = (required - set(room)) | (set(room) - required - OPTIONAL)
+    if wrong:
+        return [f"{file}: missing or unknown keys: {', '.join(sorted(wrong))}"]
     problems = [] if room["setting"] in SETTINGS else [f"{file}: setting {room['setting']!r}?"]
-    named = Counter(chain.from_iterable(room[tier] for tier in TIERS))
+    named = Counter(chain.from_iterable(room.get(tier, ()) for tier in TIERS))
     problems += [f"{file}: {name!r} is named {n} times" for name, n in named.items() if n > 1]
     problems += [f"{file}: {name!r} is not in objects.csv" for name in named if name not in objects]
     problems += [f"{file}: no room {name!r} near by" for name in room["near"] if name not in rooms]
     clashes = rooms.intersection(room["synonyms"])
     problems += [f"{file}: synonym {name!r} is a room of its own" for name in sorted(clashes)]
-    problems += [f"{file}: {key} is empty" for key in LISTS if not room[key]]
+    problems += [f"{file}: {key} is empty" for key in LISTS if key in room and not room[key]]
     return problems
 
 

@@ -10,8 +10,27 @@ from pathlib import Path
 KNOWLEDGE = Path(__file__).parent / "knowledge"
 
 # How probable it is that a room of the kind holds the object.
-TIERS = {"nearly_always": 0.9, "often": 0.5, "sometimes": 0.2, "rarely": 0.05}
+TIERS = {
+    "nearly_always": 0.9,
+    "usually": 0.7,
+    "often": 0.5,
+    "sometimes": 0.2,
+    "seldom": 0.1,
+    "rarely": 0.05,
+}
 SYNONYM_SHARE = 0.2  # of an object's mentions
+# Where rooms of a setting are found.
+SETTINGS = {
+    "home": ("house", "apartment", "flat", "home", "villa", "cottage"),
+    "office": ("office building", "company", "bank", "town hall"),
+    "school": ("school", "university", "college", "kindergarten"),
+    "hotel": ("hotel", "guesthouse", "inn", "resort"),
+    "shop": ("shopping mall", "shopping street", "town", "village"),
+    "hospital": ("hospital", "clinic", "nursing home", "health center"),
+    "restaurant": ("restaurant", "hotel", "shopping mall", "pub"),
+    "public": ("city", "public building", "town", "museum"),
+    "industrial": ("factory", "warehouse", "company", "farm"),
+}
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ import click
 
 from .facts import Facts, Room, Thing, load_facts
 from .grammar import Frame, load_frames, own_words, render, slots
-from .scene import Answer, Scene
+from .marks import Evidence, Marked, marked
+from .scene import Scene
 from .world import World
 
 # How often a kind of frame is drawn. Objects before their room: that is what is asked later.
@@ -30,20 +31,68 @@ KINDS = {
     "stories": 16,
 }
 # How often a document is of a kind: one sentence; several on one room; several on many rooms.
-NOISE_SHARE = 0.25  # of sentences have words of their frame replaced
-DOCUMENTS = {"sentence": 90, "one_room": 8, "many_rooms": 14, "walk": 6}
+DOCUMENTS = {"sentence": 110, "one_room": 4, "many_rooms": 5, "walk": 3}
+NOISE_SHARE = 0.4  # of sentences have words of their frame replaced
+MADE_UP_SHARE = 0.3  # of those words are made up
+LEAD_SHARE = 0.5  # of sentences from objects to a room begin with any object, as likely as another
+
+
+_ONSETS = (
+    "",
+    *"bcdfghjklmnprstvwz",
+    "bl",
+    "br",
+    "ch",
+    "cl",
+    "cr",
+    "dr",
+    "fl",
+    "gr",
+    "pl",
+    "pr",
+    "qu",
+    "sh",
+    "sl",
+    "sp",
+    "st",
+    "str",
+    "th",
+    "tr",
+    "wh",
+)
+_CODAS = (
+    "",
+    "",
+    *"bdglmnprstxy",
+    "ck",
+    "ds",
+    "ed",
+    "er",
+    "ing",
+    "ll",
+    "ly",
+    "nd",
+    "ng",
+    "ns",
+    "nt",
+    "rd",
+    "rs",
+    "st",
+)
 
 
 class Writer:
     """Writes documents from one stream of random numbers."""
 
-    def __init__(self, world: World, seed: int, mark: bool = False) -> None:
-        self.world, self.rng, self.mark = world, random.Random(seed), mark
-        self.answers: list[Answer] = []
+    def __init__(
+        self, world: World, seed: int, mark: bool = False, noise: float = NOISE_SHARE
+    ) -> None:
+        self.world, self.rng, self.mark, self.noise = world, random.Random(seed), mark, noise
+        self.marks: list[Marked] = []
 
     def document(self) -> str:
-        """Write one document; with ``mark``, its answers are then in ``answers``."""
-        self.answers = []
+        """Write one document; with ``mark``, what its marks say is then in ``marks``."""
+        self.marks = []
         kind = self.rng.choices(list(DOCUMENTS), list(DOCUMENTS.values()))[0]
         return str(getattr(self, f"_{kind}")())
 
@@ -51,23 +100,38 @@ class Writer:
         kind = self.rng.choices(list(KINDS), list(KINDS.values()))[0]
         frame = self.rng.choice(_frames(kind))
         thing = None
-        if kind == "things" and not room and _speaks_of_objects_only(kind, id(frame)):
+        any_object = kind == "things" and _speaks_of_objects_only(kind, id(frame))
+        if not room and (any_object or self._leads(kind)):
             thing = self._thing()
-        answers = self.answers if self.mark and not room else None
-        scene = Scene(self.world, self.rng, room, thing, kind == "comparisons", answers)
-        return render(frame, scene.fill, self.rng, self._noise() if not room else str)
+        marks = self.marks if self.mark and not room else None
+        scene = Scene(self.world, self.rng, room, thing, kind == "comparisons", marks)
+        return self._ended(render(frame, scene.fill, self.rng, self._noise() if not room else str))
+
+    def _leads(self, kind: str) -> bool:
+        return kind == "objects_to_room" and self.rng.random() < LEAD_SHARE
+
+    def _ended(self, sentence: str) -> str:
+        """A sentence behind which nothing is known."""
+        if not self.mark:
+            return sentence
+        self.marks.append(Evidence())
+        return sentence + marked("")
 
     def _noise(self) -> Callable[[str], str]:
         """What becomes of the frame's own words: mostly nothing, else some are replaced at random.
 
         So a model learns to go by the objects also in a sentence whose words it has not read.
         """
-        if self.rng.random() >= NOISE_SHARE:
+        if self.rng.random() >= self.noise:
             return str
         share = self.rng.choice([0.15, 0.35, 0.6, 1.0])
 
         def word(match: re.Match[str]) -> str:
-            return self.rng.choice(noise_words()) if self.rng.random() < share else match.group()
+            if self.rng.random() >= share:
+                return match.group()
+            if self.rng.random() < MADE_UP_SHARE:
+                return made_up(self.rng)
+            return self.rng.choice(noise_words())
 
         return lambda text: re.sub(r"[A-Za-z]+", word, text)
 
@@ -84,9 +148,9 @@ class Writer:
     def _walk(self) -> str:
         lines = [self.rng.choice(_frames("walk_openings"))]
         lines += [self.rng.choice(_frames("walks")) for _ in range(self.rng.randint(2, 6))]
-        answers = self.answers if self.mark else None
+        marks = self.marks if self.mark else None
         return " ".join(
-            render(frame, Scene(self.world, self.rng, answers=answers).fill, self.rng)
+            self._ended(render(frame, Scene(self.world, self.rng, marks=marks).fill, self.rng))
             for frame in lines
         )
 
@@ -105,15 +169,24 @@ def noise_words() -> list[str]:
     return sorted(found - {"containing", "called"})
 
 
+def made_up(rng: random.Random) -> str:
+    """A word that means nothing, of one to three syllables."""
+    syllables = (rng.choice(_ONSETS) + rng.choice("aeiou") for _ in range(rng.randint(1, 3)))
+    return "".join(syllables) + rng.choice(_CODAS)
+
+
 @cache
 def _speaks_of_objects_only(kind: str, frame_id: int) -> bool:
     frame = next(frame for frame in _frames(kind) if id(frame) == frame_id)
     return not any("home" in slot for slot in slots(frame))
 
 
-def documents(facts: Facts, seed: int) -> Iterator[str]:
-    """Yield documents without end; the same facts and seed give the same ones."""
-    writer = Writer(World(facts), seed)
+def documents(facts: Facts, seed: int, noise: float = NOISE_SHARE) -> Iterator[str]:
+    """Yield documents without end; the same facts and seed give the same ones.
+
+    ``noise`` is the share of sentences some of whose words are replaced.
+    """
+    writer = Writer(World(facts), seed, noise=noise)
     while True:
         yield writer.document()
 

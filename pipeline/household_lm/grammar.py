@@ -94,7 +94,7 @@ def tidy(text: str) -> str:
     """Single spaces, none before a stop, and a capital after each."""
     text = re.sub(r"\s+([,.;:?!])", r"\1", re.sub(r" {2,}", " ", text)).strip()
     text = re.sub(r"([.?!]['\"]?\s+['\"]?\ue000?)([a-z])", lambda m: m[1] + m[2].upper(), text)
-    return re.sub(r"^(['\"]?)([a-z])", lambda m: m[1] + m[2].upper(), text)
+    return re.sub(r"^(['\"]?\ue000?)([a-z])", lambda m: m[1] + m[2].upper(), text)
 
 
 def slots(frame: Frame) -> set[str]:

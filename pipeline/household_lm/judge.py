@@ -1,95 +1,100 @@
-"""Judge a checkpoint by frames, and combinations of objects, that it never read.
+"""Judge a model by frames, and combinations of objects, that it never read.
 
-For every held-out frame and object set, all rooms' sentences are scored; R rooms share the
-sentence's beginning. The sets come from the knowledge, never from an evaluation set.
+`python -m pipeline.household_lm.judge --model FOLDER` prints the table: how far what the model says
+of rooms, by whole sentences, is from the knowledge's exact posterior. For every held-out frame and
+object set, all rooms' sentences are scored; they share the sentence's beginning. The sets come from
+the knowledge, never from an evaluation set.
 """
 
 from __future__ import annotations
 
-import math
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import click
 import torch
 from tokenizers import Tokenizer
-from transformers import PreTrainedModel
+from transformers import AutoModelForCausalLM, PreTrainedModel
 
-from .facts import Facts, Room
+from roomtables.lm.folders import EMBEDDED_FOLDER
+
+from .bayes import log_posterior
+from .facts import Facts, Room, load_facts
 from .grammar import Frame, load_frames, render
 from .scene import Scene
 from .world import World, is_held_out
 
-_SET_SIZES = (1, 1, 1, 2, 3, 4, 5)
-_NEVER = 0.002  # how typical an object is of a room that does not name it
+SIZES = (1, 2, 3, 8)
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Means over held-out frames and object sets; ``bias_spread`` and ``nll`` in nats."""
+    """Means over held-out frames and sets of ``size`` objects, among all rooms.
 
+    Attributes
+    ----------
+    kl : from the knowledge's exact p(room | objects) to the model's, in nats
+    accuracy : share of sets whose likeliest room is the knowledge's likeliest
+    bias_spread : standard deviation over rooms of the mean log probability, in nats
+    """
+
+    size: int
+    kl: float
     accuracy: float
-    calibrated_accuracy: float
-    nll: float
     bias_spread: float
-    best_accuracy: float
 
 
-def object_sets(facts: Facts, count: int, seed: int) -> list[tuple[Room, list[str]]]:
-    """Draw rooms in turn, each with a set of its objects; sets of several are held out."""
+def object_sets(facts: Facts, size: int, count: int, seed: int) -> list[list[str]]:
+    """Draw sets of objects: single ones of all alike, several of one room, held out of training."""
     rng = random.Random(seed)
     world = World(facts)
-    rooms = list(facts.rooms.values())
-    rng.shuffle(rooms)
-    sets = []
-    for index in range(count):
-        room = rooms[index % len(rooms)]
-        size = min(rng.choice(_SET_SIZES), len(room.objects))
+    if size == 1:
+        return [[thing.name] for thing in rng.choices(world.placed, k=count)]
+    rooms = [room for room in facts.rooms.values() if len(room.objects) > size]
+    return [_held_out(world, rng.choice(rooms), size, rng) for _ in range(count)]
+
+
+def _held_out(world: World, room: Room, size: int, rng: random.Random) -> list[str]:
+    objects = world.draw_objects(room, size, rng, skip_held_out=False)
+    while not is_held_out(objects):
         objects = world.draw_objects(room, size, rng, skip_held_out=False)
-        while size > 1 and not is_held_out(objects):
-            objects = world.draw_objects(room, size, rng, skip_held_out=False)
-        sets.append((room, objects))
-    return sets
+    return objects
 
 
 @torch.no_grad()
 def judge(
-    model: PreTrainedModel, tokenizer: Tokenizer, facts: Facts, sets: int = 40, seed: int = 5
-) -> Judgement:
-    """Score every held-out frame on the same object sets."""
+    model: PreTrainedModel,
+    tokenizer: Tokenizer,
+    facts: Facts,
+    sets: int,
+    sizes: Sequence[int] = SIZES,
+    seed: int = 5,
+) -> list[Judgement]:
+    """Score every held-out frame on the same object sets, so many of each size."""
     frames = load_frames("held_out")
-    drawn = object_sets(facts, sets, seed)
-    rooms = list(facts.rooms.values())
-    scores = torch.stack(
-        [
-            torch.stack([_room_scores(model, tokenizer, facts, frame, s) for _, s in drawn])
-            for frame in frames
-        ]
-    ).log_softmax(-1)  # (frames, sets, rooms)
-    truth = torch.tensor([rooms.index(room) for room, _ in drawn])
-    bias = scores.mean(1, keepdim=True)
-    best = torch.tensor([_posterior(rooms, objects) for _, objects in drawn])
-    return Judgement(
-        accuracy=_share_right(scores, truth),
-        calibrated_accuracy=_share_right(scores - bias, truth),
-        nll=-scores[:, torch.arange(len(drawn)), truth].mean().item(),
-        bias_spread=bias.std(-1).mean().item(),
-        best_accuracy=_share_right(best[None], truth),
-    )
-
-
-def _share_right(scores: torch.Tensor, truth: torch.Tensor) -> float:
-    return (scores.argmax(-1) == truth).float().mean().item()
-
-
-def _posterior(rooms: list[Room], objects: list[str]) -> list[float]:
-    """Log p(objects | room) of the generator, less a constant."""
-    return [
-        sum(
-            math.log(room.objects.get(name, _NEVER) / sum(room.objects.values()))
-            for name in objects
+    found = []
+    for size in sizes:
+        drawn = object_sets(facts, size, sets, seed)
+        exact = torch.from_numpy(log_posterior(facts, drawn)).float()
+        scores = torch.stack(
+            [
+                torch.stack([_room_scores(model, tokenizer, facts, frame, s) for s in drawn])
+                for frame in frames
+            ]
+        ).log_softmax(-1)  # (frames, sets, rooms)
+        right = scores.argmax(-1) == exact.argmax(-1)
+        found.append(
+            Judgement(
+                size,
+                (exact.exp() * (exact - scores)).sum(-1).mean().item(),
+                right.float().mean().item(),
+                scores.mean(1).std(-1).mean().item(),
+            )
         )
-        for room in rooms
-    ]
+    return found
 
 
 def _room_scores(
@@ -132,3 +137,22 @@ def _tree_scores(
     ).logits[0]
     own = logits.log_softmax(-1)[torch.tensor(before), row[0]][len(prefix) :]
     return torch.zeros(len(suffixes)).index_add(0, group[len(prefix) :], own)
+
+
+@click.command()
+@click.option("--model", type=click.Path(path_type=Path), default=EMBEDDED_FOLDER)
+@click.option("--sets", default=40, show_default=True, help="Object sets of each size.")
+def main(model: Path, sets: int) -> None:
+    """Print how far a model is from the knowledge, in frames that it never read."""
+    torch.set_num_threads(1)
+    loaded: Any = AutoModelForCausalLM.from_pretrained(model, dtype=torch.float32)
+    tokenizer = Tokenizer.from_file(str(model / "tokenizer.json"))
+    click.echo("objects  KL (nats)  likeliest room  spread of bias (nats)")
+    for found in judge(loaded.eval(), tokenizer, load_facts(), sets):
+        click.echo(
+            f"{found.size:7}  {found.kl:9.3f}  {found.accuracy:14.1%}  {found.bias_spread:21.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

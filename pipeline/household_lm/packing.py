@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, replace
+from itertools import chain, islice
 
+import numpy as np
 import torch
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors, trainers
 
-from .answers import Posterior, Target
+from . import english
+from .answers import Document, Floats, Posterior, Target
 from .facts import Facts
 from .generate import Writer, documents
 
@@ -22,23 +24,24 @@ BOS = "<s>"
 _CHUNK_DOCUMENTS = 2_000
 _TOKENIZER_DOCUMENTS = 60_000
 _TOKENIZER_SEED = 1_000_003
-
-
-Document = tuple[list[int], list[Target]]
+_TOKENIZER_NAMES = 10
 
 
 @dataclass(frozen=True)
 class Batch:
     """Rows of packed documents; every tensor is (rows, length), document -1 is padding.
 
-    ``answers`` are the places, in the flattened batch, whose next token begins an answer, each
-    with the tokens that may stand there and their probabilities.
+    ``answers`` are what tokens of the flattened batch may be. ``rooms`` and ``objects`` are places
+    before a token whose text has told objects, or a room, and what might be named there next:
+    (places,) and (places, first tokens).
     """
 
     ids: torch.Tensor
     positions: torch.Tensor
     document: torch.Tensor
     answers: list[Target]
+    rooms: tuple[torch.Tensor, torch.Tensor]
+    objects: tuple[torch.Tensor, torch.Tensor]
 
     def mask(self) -> torch.Tensor:
         """Additive attention mask (rows, 1, length, length): earlier tokens of the document."""
@@ -65,12 +68,21 @@ def train_tokenizer(facts: Facts, vocabulary: int, count: int = _TOKENIZER_DOCUM
         initial_alphabet=pre_tokenizers.ByteLevel.alphabet(),
         show_progress=False,
     )
-    texts = islice(documents(facts, _TOKENIZER_SEED), count)
-    tokenizer.train_from_iterator(texts, trainer)
+    texts = islice(documents(facts, _TOKENIZER_SEED, noise=0.0), count)
+    tokenizer.train_from_iterator(chain(texts, _names(facts)), trainer)
     tokenizer.post_processor = processors.TemplateProcessing(
         single=f"{BOS} $A", pair=f"{BOS} $A {BOS} $B", special_tokens=[(BOS, 0)]
     )
     return tokenizer
+
+
+def _names(facts: Facts) -> Iterator[str]:
+    """Every object's and room's name, so often that few are cut into pieces."""
+    called = {name for thing in facts.things.values() for name, _ in thing.called()}
+    rooms = {name for room in facts.rooms.values() for name in (room.name, *room.synonyms)}
+    for name in sorted(called | rooms):
+        for form in (name, english.plural(name)):
+            yield from [f"the {form}"] * _TOKENIZER_NAMES
 
 
 def batches(
@@ -93,20 +105,18 @@ def batches(
 
 def _chunk(posterior: Posterior, seed: int, length: int) -> list[Document]:
     writer = Writer(posterior.world, seed, mark=True)
-    written = []
-    for _ in range(_CHUNK_DOCUMENTS):
-        text = writer.document()
-        ids, targets = posterior.targets(text, writer.answers)
-        written.append((ids[:length], [target for target in targets if target[0] < length]))
-    return written
+    return [
+        posterior.document(writer.document(), writer.marks).cut(length)
+        for _ in range(_CHUNK_DOCUMENTS)
+    ]
 
 
 def _pack(written: list[Document], length: int) -> list[list[Document]]:
     """Pack documents into rows, the longest first, each where it fits best."""
     open_rows: list[list[list[Document]]] = [[] for _ in range(length + 1)]
     rows = []
-    for document in sorted(written, key=lambda document: len(document[0]), reverse=True):
-        size = len(document[0])
+    for document in sorted(written, key=lambda document: len(document.ids), reverse=True):
+        size = len(document.ids)
         left = next((left for left in range(size, length + 1) if open_rows[left]), None)
         if left is None:
             left = length
@@ -123,15 +133,25 @@ def _tensors(rows: list[list[Document]], length: int) -> Batch:
     ids = torch.zeros(len(rows), length, dtype=torch.long)
     positions = torch.zeros_like(ids)
     numbers = torch.full_like(ids, -1)
-    answers = []
+    answers: list[Target] = []
+    rooms: dict[int, Floats] = {}
+    objects: dict[int, Floats] = {}
     for index, row in enumerate(rows):
         at = 0
-        for number, (text, targets) in enumerate(row):
-            end = at + len(text)
-            ids[index, at:end] = torch.tensor(text)
-            positions[index, at:end] = torch.arange(len(text))
+        for number, document in enumerate(row):
+            end = at + len(document.ids)
+            ids[index, at:end] = torch.tensor(document.ids)
+            positions[index, at:end] = torch.arange(len(document.ids))
             numbers[index, at:end] = number
-            start = index * length + at - 1  # a token is predicted at the one before it
-            answers += [(start + place, tokens, shares) for place, tokens, shares in targets]
+            start = index * length + at
+            answers += [replace(target, place=start + target.place) for target in document.answers]
+            rooms |= {start + place: shares for place, shares in document.rooms.items()}
+            objects |= {start + place: shares for place, shares in document.objects.items()}
             at = end
-    return Batch(ids, positions, numbers, answers)
+    return Batch(ids, positions, numbers, answers, _stacked(rooms), _stacked(objects))
+
+
+def _stacked(known: dict[int, Floats]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Places before tokens, and a row of probabilities of each."""
+    shares = np.stack([*known.values()]) if known else np.zeros((0, 0), np.float32)
+    return torch.tensor([*known]) - 1, torch.from_numpy(shares)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 _PANELS = {
     "nats per token": ("training_loss", "held_out_loss"),
-    "share right, held-out frames": ("accuracy", "calibrated_accuracy", "best_accuracy"),
-    "nats, held-out frames": ("nll", "bias_spread"),
+    "KL to the knowledge, nats": ("kl_1", "kl_2", "kl_3", "kl_8"),
+    "share right": ("accuracy_1", "accuracy_3"),
 }
 
 

@@ -1,54 +1,30 @@
 """A scene: one room with some of its objects, and the words that fill a frame's slots.
 
-A name that follows from the objects (or the room) named before it can be marked as an answer.
+A name that follows from the objects (or the room) named before it can be marked as an answer, and
+what is known after a name as evidence.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 from . import english
-from .facts import SYNONYM_SHARE, Room, Thing
+from .facts import SETTINGS, SYNONYM_SHARE, Room, Thing
+from .marks import Answer, Evidence, Marked, marked
 from .world import World
 
 _LIST_LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8)
 _LIST_WEIGHTS = (34, 22, 22, 9, 5, 4, 2, 2)
-MARKS = ("\ue000", "\ue001")  # around an answer, in text that is only for training
+_STRAY_SHARE = 0.15  # of lists that tell of a room hold one object that may not belong there
 _ROOM_SLOTS = frozenset(["room", "a_room", "the_room", "rooms", "home", "a_home", "the_home"])
-_THING_SLOTS = frozenset(
-    ["one", "ones", "the_one", "bare_one", "definition", "kind", "a_kind", "use", "place"]
-)
+_CALLING_SLOTS = frozenset(["one", "ones", "the_one", "bare_one"])
+_THING_SLOTS = _CALLING_SLOTS | {"definition", "kind", "a_kind", "use", "place"}
 _NAMING_SLOTS = frozenset(["objects", "plurals", "bare_list"])
 _LIST_SLOTS = _NAMING_SLOTS | {"is_are", "them", "more", "digit"}
 _DIGITS = ("two", "three", "four", "five", "six", "seven", *"23456789")
-_SETTINGS = {
-    "home": ("house", "apartment", "flat", "home", "villa", "cottage"),
-    "office": ("office building", "company", "bank", "town hall"),
-    "school": ("school", "university", "college", "kindergarten"),
-    "hotel": ("hotel", "guesthouse", "inn", "resort"),
-    "shop": ("shopping mall", "shopping street", "town", "village"),
-    "hospital": ("hospital", "clinic", "nursing home", "health center"),
-    "restaurant": ("restaurant", "hotel", "shopping mall", "pub"),
-    "public": ("city", "public building", "town", "museum"),
-    "industrial": ("factory", "warehouse", "company", "farm"),
-}
-
-
-@dataclass(frozen=True)
-class Answer:
-    """A name that is to be predicted from what stands before it.
-
-    ``form`` is its number or article, ``told`` the objects named before. Without a ``room`` it is
-    a room's name; with one it is the name of an object in that room.
-    """
-
-    name: str
-    form: str
-    told: tuple[str, ...]
-    room: str | None = None
+MarkObject = Callable[[Sequence[str], str, str, str], str]
 
 
 class Scene:
@@ -61,9 +37,10 @@ class Scene:
         room: tuple[str, Room] | None = None,
         thing: Thing | None = None,
         contrast: bool = False,
-        answers: list[Answer] | None = None,
+        marks: list[Marked] | None = None,
     ) -> None:
-        self.world, self.rng, self.contrast, self.answers = world, rng, contrast, answers
+        self.world, self.rng, self.contrast, self.marks = world, rng, contrast, marks
+        self._lead = thing.name if thing else None
         self.name, self.room = room or world.draw_room(rng)
         if thing:
             self.__dict__["thing"] = thing
@@ -77,20 +54,32 @@ class Scene:
         """Give the words for a slot, the same each time; mark a room's name that is an answer."""
         if slot in self._filled:
             return self._filled[slot]
-        told = self._told(slot)
+        told = self._told() if slot in _ROOM_SLOTS else ()
         words = self._filled[slot] = self._words(slot)
-        if not told or self.answers is None:
+        if self.marks is None or self.contrast:
+            return words
+        known = self._knows_room()
+        if slot in _CALLING_SLOTS and (known or self._tells_objects_only()):
+            self.marks.append(Evidence(self._mentioned(), self.room.name if known else None))
+            return marked(words)
+        if slot not in _ROOM_SLOTS:
             return words
         form = "plural" if slot.startswith("rooms") else slot.partition("_")[0]
-        self.answers.append(Answer(self.name, form, told))
         name = words if form == "plural" else self.name
-        return words.removesuffix(name) + MARKS[0] + name + MARKS[1]
+        then = Evidence(self._mentioned(), self.room.name)
+        self.marks.append(Answer(self.name, form, told, then=then) if told else then)
+        return words.removesuffix(name) + marked(name)
 
-    def _told(self, slot: str) -> tuple[str, ...]:
+    def _tells_objects_only(self) -> bool:
+        """Tell whether nothing but objects gives the room away so far."""
+        return not self.contrast and self._filled.keys() <= (_THING_SLOTS | _LIST_SLOTS)
+
+    def _told(self) -> tuple[str, ...]:
         """Objects told before a room's first mention, when nothing else gives it away."""
-        names = slot in _ROOM_SLOTS and self.answers is not None and not self.contrast
-        if not names or not self._filled.keys() <= (_THING_SLOTS | _LIST_SLOTS):
-            return ()
+        return self._mentioned() if self._tells_objects_only() else ()
+
+    def _mentioned(self) -> tuple[str, ...]:
+        """The objects of the room that slots have spoken of."""
         told = [*self.objects] if self._filled.keys() & _NAMING_SLOTS else []
         told += self._further
         return (*told, self.thing.name) if self._filled.keys() & _THING_SLOTS else tuple(told)
@@ -144,7 +133,10 @@ class Scene:
     def objects(self) -> list[str]:
         """The names of the objects of ``{objects}``."""
         count = self.rng.choices(_LIST_LENGTHS, _LIST_WEIGHTS)[0]
-        return self.world.draw_objects(self.room, count, self.rng)
+        stray = count > 1 and self.rng.random() < _STRAY_SHARE and not self._knows_room()
+        lead = [self._lead] if self._lead else []
+        lead += [self.rng.choice(self.world.placed).name] if stray else []
+        return self.world.draw_objects(self.room, count, self.rng, lead=[*dict.fromkeys(lead)])
 
     @cached_property
     def thing(self) -> Thing:
@@ -162,8 +154,7 @@ class Scene:
 
     @cached_property
     def _listed(self) -> tuple[str, bool]:
-        told = [self.thing.name] if self._filled.keys() & _THING_SLOTS else []
-        return self._list(self.objects, told, self._knows_room())
+        return self._list(self.objects, self._mark_object)
 
     @cached_property
     def _never(self) -> str:
@@ -174,20 +165,28 @@ class Scene:
             return self.rng.choice(thing.synonyms)
         return thing.name
 
-    def _list(
-        self, names: Sequence[str], told: Sequence[str] = (), known: bool = False
-    ) -> tuple[str, bool]:
-        """List objects; where the room is ``known``, each is an answer."""
+    def _list(self, names: Sequence[str], mark: MarkObject | None = None) -> tuple[str, bool]:
+        """List objects; ``mark`` may put marks around each."""
         called = [self._called(self.world.facts.things[name]) for name in names]
 
-        def mark(index: int, form: str, noun: str) -> str:
-            if self.answers is None or not known or not form:
-                return noun
-            before = (*told, *names[:index])
-            self.answers.append(Answer(called[index], form, before, self.room.name))
-            return MARKS[0] + noun + MARKS[1]
+        def marked_noun(index: int, form: str, noun: str) -> str:
+            return mark(names[: index + 1], called[index], form, noun) if mark else noun
 
-        return english.noun_list(called, self.rng, mark)
+        return english.noun_list(called, self.rng, marked_noun)
+
+    def _mark_object(self, names: Sequence[str], called: str, form: str, noun: str) -> str:
+        """Mark a room's object: an answer where the room is known, else evidence of the room.
+
+        ``names`` are the objects of its list up to it.
+        """
+        known = self._knows_room()
+        if self.marks is None or not (known or self._tells_objects_only()):
+            return noun
+        told = (*self._mentioned(), *names)
+        then = Evidence(told, self.room.name if known else None)
+        answers = known and form
+        self.marks.append(Answer(called, form, told[:-1], then.room, then) if answers else then)
+        return marked(noun)
 
     def _knows_room(self) -> bool:
         return not self.contrast and bool(self._filled.keys() & _ROOM_SLOTS)
@@ -213,13 +212,18 @@ class Scene:
         return "them" if self._listed[1] else "it"
 
     def _slot_bare_list(self) -> str:
-        return ", ".join(self._called(self.world.facts.things[name]) for name in self.objects)
+        called = [self._called(self.world.facts.things[name]) for name in self.objects]
+        return ", ".join(
+            self._mark_object(self.objects[: index + 1], name, "bare", name)
+            for index, name in enumerate(called)
+        )
 
     def _slot_more(self) -> str:
-        self._further = self.world.draw_objects(
-            self.room, self.rng.choice([1, 2, 2, 3]), self.rng, self.objects
-        )
-        return self._list(self._further, self.objects, self._knows_room())[0]
+        count = self.rng.choice([1, 2, 2, 3])
+        further = self.world.draw_objects(self.room, count, self.rng, self._mentioned())
+        words = self._list(further, self._mark_object)[0]
+        self._further = further
+        return words
 
     def _slot_objects_home(self) -> str:
         return self._more(self.room, [self.thing.name])
@@ -273,7 +277,7 @@ class Scene:
         return self.rng.choice(self.room.description)
 
     def _slot_setting_place(self) -> str:
-        return self.rng.choice(_SETTINGS[self.room.setting])
+        return self.rng.choice(SETTINGS[self.room.setting])
 
     def _slot_a_setting_place(self) -> str:
         return english.with_article(self._slot_setting_place())

@@ -7,11 +7,11 @@ averaged weights are exported in float16 to ``--output``, and as an ONNX file fo
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 from typing import Any
 
 import click
+import torch
 from tqdm import tqdm
 from transformers import PreTrainedTokenizerFast
 
@@ -25,7 +25,7 @@ MODEL_FOLDER = Path(__file__).parents[2] / "src" / "roomtables" / "models" / "ho
 
 
 def train(
-    training: Training, measure_every: int, judge_sets: int = 24, stop_at: int | None = None
+    training: Training, measure_every: int, judge_sets: int = 12, stop_at: int | None = None
 ) -> None:
     """Train to the recipe's end (or ``stop_at``), measuring and saving on the way."""
     recipe = training.recipe
@@ -33,7 +33,7 @@ def train(
         training.posterior, recipe.seed * 1_000_000, recipe.rows, recipe.length, training.position
     )
     end = min(recipe.steps, stop_at or recipe.steps)
-    tokens = recipe.rows * recipe.length
+    tokens = recipe.batch_tokens
     bar = tqdm(
         total=recipe.steps * tokens,
         initial=training.step * tokens,
@@ -55,8 +55,8 @@ def train(
 def _log(training: Training, loss: float, judge_sets: int) -> None:
     row = {
         "step": training.step,
-        "tokens": training.step * training.recipe.rows * training.recipe.length,
-        "cpu_seconds": round(time.process_time()),
+        "tokens": training.step * training.recipe.batch_tokens,
+        "cpu_seconds": round(training.cpu_seconds),
         "training_loss": loss,
         **training.measure(judge_sets),
     }
@@ -94,10 +94,12 @@ def export(training: Training, folder: Path) -> None:
 @click.option("--embedding-rate", default=Recipe.embedding_rate, show_default=True)
 @click.option("--weight-decay", default=Recipe.weight_decay, show_default=True)
 @click.option("--answer-weight", default=Recipe.answer_weight, show_default=True)
+@click.option("--evidence-weight", default=Recipe.evidence_weight, show_default=True)
 @click.option("--dropout", default=Recipe.dropout, show_default=True)
 @click.option("--average", default=Recipe.average, show_default=True)
 def main(work: Path, output: Path, measure_every: int, **options: Any) -> None:
     """Train, or go on training, and export."""
+    torch.set_num_threads(1)  # its matrices are too small for more to be faster
     work.mkdir(parents=True, exist_ok=True)
     training = Training(Recipe(**options), load_facts(), work)
     training.resume()

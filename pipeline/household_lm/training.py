@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from transformers import LlamaConfig, LlamaForCausalLM
 from .answers import Posterior
 from .facts import Facts
 from .judge import judge
+from .muon import Muon
 from .packing import BOS, Batch, batches, train_tokenizer
 from .world import World
 
@@ -29,7 +31,7 @@ class Recipe:
     """Everything that the weights depend on, besides the knowledge and the frames."""
 
     seed: int = 0
-    tokens: int = 6_000_000
+    tokens: int = 10_000_000
     vocabulary: int = 4096
     width: int = 160
     layers: int = 3
@@ -41,6 +43,7 @@ class Recipe:
     embedding_rate: float = 6e-3
     weight_decay: float = 0.05
     answer_weight: float = 10.0
+    evidence_weight: float = 2.0
     dropout: float = 0.0
     warmup_steps: int = 60
     average: float = 0.995
@@ -48,7 +51,17 @@ class Recipe:
     @property
     def steps(self) -> int:
         """How many updates the tokens are enough for."""
-        return max(1, self.tokens // (self.rows * self.length))
+        return max(1, self.tokens // self.batch_tokens)
+
+    @property
+    def batch_tokens(self) -> int:
+        """Tokens of one update."""
+        return self.rows * self.length
+
+    def rate(self, step: int) -> float:
+        """The learning rate's factor: a linear warm-up, a slow linear fall, a faster one."""
+        warm, done = min(1.0, (step + 1) / self.warmup_steps), step / self.steps
+        return warm * max(0.01, min(1 - 0.625 * done, 2 * (1 - done)))
 
 
 class Training:
@@ -59,12 +72,20 @@ class Training:
         self.checkpoint = work / "checkpoint.pt"
         self.tokenizer = _tokenizer(facts, recipe, work)
         self.posterior = Posterior(World(facts), self.tokenizer)
+        found = (self.posterior.room_tokens, self.posterior.object_tokens)
+        self.names = [torch.from_numpy(tokens) for tokens in found]
         torch.manual_seed(recipe.seed)
         self.model = new_model(recipe, self.tokenizer)
         self.average = new_model(recipe, self.tokenizer).requires_grad_(False).eval()
         self.average.load_state_dict(self.model.state_dict())
         self.optimizers = _optimizers(self.model, recipe)
         self.step, self.position = 0, (0, 0)
+        self._spent = 0.0
+
+    @property
+    def cpu_seconds(self) -> float:
+        """What the training took so far, over all processes that went on with it."""
+        return self._spent + time.process_time()
 
     def save(self) -> None:
         """Write a checkpoint beside the old one, then replace it."""
@@ -77,6 +98,7 @@ class Training:
             "step": self.step,
             "position": self.position,
             "random": torch.get_rng_state(),
+            "cpu_seconds": self.cpu_seconds,
         }
         torch.save(state, aside)
         os.replace(aside, self.checkpoint)
@@ -103,6 +125,7 @@ class Training:
             optimizer.load_state_dict(saved)
         self.step, self.position = state["step"], tuple(state["position"])
         torch.set_rng_state(state["random"])
+        self._spent = state["cpu_seconds"] - time.process_time()
 
     def update(self, batch: Batch) -> float:
         """Make one step; returns the batch's mean loss in nats per token."""
@@ -111,10 +134,10 @@ class Training:
             self.optimizers, (recipe.learning_rate, recipe.embedding_rate), strict=True
         ):
             for group in optimizer.param_groups:
-                group["lr"] = rate * _rate(self.step, recipe)
+                group["lr"] = rate * recipe.rate(self.step)
         self.model.train()
         logits = _logits(self.model, batch)
-        loss: Any = _loss(logits, batch, recipe.answer_weight)
+        loss: Any = self._loss(logits, batch)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         for optimizer in self.optimizers:
@@ -126,6 +149,28 @@ class Training:
             mean.lerp_(value.detach(), share)
         return cross_entropy(logits.detach(), batch.targets().flatten()).item()
 
+    def _loss(self, logits: torch.Tensor, batch: Batch) -> torch.Tensor:
+        """Cross-entropy in nats per token, against an answer's distribution where there is one.
+
+        Added to it, where objects or a room are told: cross-entropy between what might be named
+        next, by the knowledge and by the model, both normalised over those names' first tokens.
+        """
+        targets = batch.targets().flatten()
+        plain = targets.clone()
+        places = torch.tensor([target.place - 1 for target in batch.answers])
+        plain[places] = -100
+        total = cross_entropy(logits, plain, reduction="sum")
+        expected = torch.zeros(len(places), logits.shape[1])
+        for row, target in zip(expected, batch.answers, strict=True):
+            row[torch.from_numpy(target.tokens)] = torch.from_numpy(target.shares)
+        answered = cross_entropy(logits[places], expected, reduction="sum")
+        told = sum(
+            cross_entropy(logits[at][:, names], shares, reduction="sum")
+            for (at, shares), names in zip((batch.rooms, batch.objects), self.names, strict=True)
+        )
+        weighted = self.recipe.answer_weight * answered + self.recipe.evidence_weight * told
+        return (total + weighted) / (targets >= 0).sum()
+
     def measure(self, judge_sets: int) -> dict[str, float]:
         """Held-out loss and held-out frames, with the averaged weights."""
         held_out = batches(
@@ -136,8 +181,13 @@ class Training:
                 cross_entropy(_logits(self.average, batch), batch.targets().flatten()).item()
                 for batch, _ in itertools.islice(held_out, _VALIDATION_BATCHES)
             ]
-        verdict = asdict(judge(self.average, self.tokenizer, self.facts, judge_sets))
-        return {"held_out_loss": sum(losses) / len(losses), **verdict}
+        found = judge(self.average, self.tokenizer, self.facts, judge_sets)
+        return {
+            "held_out_loss": sum(losses) / len(losses),
+            **{f"kl_{row.size}": row.kl for row in found},
+            **{f"accuracy_{row.size}": row.accuracy for row in found},
+            **{f"bias_spread_{row.size}": row.bias_spread for row in found},
+        }
 
 
 def _tokenizer(facts: Facts, recipe: Recipe, work: Path) -> Tokenizer:
@@ -173,12 +223,7 @@ def _optimizers(model: LlamaForCausalLM, recipe: Recipe) -> list[torch.optim.Opt
     """Muon for the matrices inside the layers, AdamW for the embedding and the norms."""
     inner = [value for name, value in model.named_parameters() if _is_inner(name, value)]
     rest = [value for name, value in model.named_parameters() if not _is_inner(name, value)]
-    muon = torch.optim.Muon(
-        inner,
-        lr=recipe.learning_rate,
-        weight_decay=recipe.weight_decay,
-        adjust_lr_fn="match_rms_adamw",
-    )
+    muon = Muon(inner, recipe.learning_rate, recipe.weight_decay)
     adam = torch.optim.AdamW(
         rest, lr=recipe.embedding_rate, weight_decay=0.0, betas=(0.9, 0.97), fused=True
     )
@@ -189,36 +234,11 @@ def _is_inner(name: str, value: torch.Tensor) -> bool:
     return value.ndim == 2 and "layers." in name
 
 
-def _rate(step: int, recipe: Recipe) -> float:
-    """The learning rate's factor: linear warm-up times linear decay to 0.01."""
-    warm = min(1.0, (step + 1) / recipe.warmup_steps)
-    return warm * max(0.01, 1 - step / recipe.steps)
-
-
 def _logits(model: LlamaForCausalLM, batch: Batch) -> torch.Tensor:
-    with torch.autocast("cpu", torch.bfloat16):
-        logits = model(
-            input_ids=batch.ids,
-            position_ids=batch.positions,
-            attention_mask=batch.mask().bfloat16(),
-            use_cache=False,
-        ).logits
-    flat: torch.Tensor = logits.float().flatten(0, 1)
-    return flat
-
-
-def _loss(logits: torch.Tensor, batch: Batch, answer_weight: float) -> torch.Tensor:
-    """Cross-entropy in nats per token.
-
-    At an answer it is taken against the answer's distribution, and weighted by ``answer_weight``.
-    """
-    targets = batch.targets().flatten()
-    places = torch.tensor([place for place, _, _ in batch.answers])
-    plain = targets.clone()
-    plain[places] = -100
-    total = cross_entropy(logits, plain, reduction="sum")
-    expected = torch.zeros(len(places), logits.shape[1])
-    for row, (_, tokens, probabilities) in zip(expected, batch.answers, strict=True):
-        row[torch.from_numpy(tokens)] = torch.from_numpy(probabilities)
-    total = total + answer_weight * cross_entropy(logits[places], expected, reduction="sum")
-    return total / (targets >= 0).sum()
+    logits: torch.Tensor = model(
+        input_ids=batch.ids,
+        position_ids=batch.positions,
+        attention_mask=batch.mask(),
+        use_cache=False,
+    ).logits
+    return logits.flatten(0, 1)

@@ -91,13 +91,19 @@ class World:
         rng: random.Random,
         without: Sequence[str] = (),
         skip_held_out: bool = True,
+        lead: Sequence[str] = (),
     ) -> list[str]:
-        """Draw distinct objects of a room in proportion to how typical they are."""
-        weighted = {name: p for name, p in room.objects.items() if name not in without}
+        """Draw distinct objects of a room in proportion to how typical they are.
+
+        Those of ``lead`` are among them, as many as ``count`` leaves room for.
+        """
+        out = {*without, *lead}
+        weighted = {name: p for name, p in room.objects.items() if name not in out}
         chosen: list[str] = []
         while not chosen or (skip_held_out and is_held_out(chosen)):
             ranked = sorted(weighted, key=lambda name: rng.random() ** (1 / weighted[name]))
-            chosen = ranked[-count:]
+            free = count - len(lead)
+            chosen = [*lead[:count], *(ranked[-free:] if free > 0 else [])]
             rng.shuffle(chosen)
             count = max(1, count - 1)  # a short list cannot be held out for ever
         return chosen

@@ -13,12 +13,13 @@ from pipeline.household_lm.grammar import FRAMES, read_lines
 from roomtables.lm import load_scorer
 from roomtables.lm.folders import EMBEDDED_FOLDER
 
-PAIRS = Path(__file__).parents[1] / "data" / "household_pairs.csv"
+DATA = Path(__file__).parents[1] / "data"
+PAIRS = ["household_pairs.csv", "household_pairs_2.csv"]
 
 
-@pytest.fixture(scope="module")
-def pairs() -> list[tuple[str, str]]:
-    with PAIRS.open(encoding="utf-8", newline="") as lines:
+@pytest.fixture(params=PAIRS)
+def pairs(request: pytest.FixtureRequest) -> list[tuple[str, str]]:
+    with (DATA / request.param).open(encoding="utf-8", newline="") as lines:
         return [(row["sensible"], row["other"]) for row in csv.DictReader(lines)]
 
 
