@@ -19,6 +19,7 @@ log = logging.getLogger(__name__)
 FOLDER = "misses"
 FILE_BYTES = 4 << 20  # of one process
 FOLDER_BYTES = 64 << 20
+_THEN = "run a build to take them in, or `roomtables push URL --misses` to send them to one"
 
 
 class MissLog:
@@ -60,9 +61,9 @@ class MissLog:
         with _locked(path) as file:
             size = file.seek(0, os.SEEK_END)
             if size + len(data) > FILE_BYTES:
-                return f"this process has noted {FILE_BYTES >> 20} MB; run a build to take them in"
+                return f"this process has noted {FILE_BYTES >> 20} MB; {_THEN}"
             if size == 0 and folder_bytes(self._folder) > FOLDER_BYTES:
-                return f"it holds {FOLDER_BYTES >> 20} MB; run a build to take them in"
+                return f"it holds {FOLDER_BYTES >> 20} MB; {_THEN}"
             if size and os.pread(file.fileno(), 1, size - 1) != b"\n":
                 data = b"\n" + data  # end what a crash or a full disk left of a line
             return None if file.write(data) == len(data) else "the disk is full"

@@ -207,12 +207,13 @@ def _read_note(path: Path) -> tuple[dict[str, int], frozenset[Combination]]:
 
 
 def _is_done(path: Path, end: int) -> bool:
-    """Whether a file was read to its end, and nobody has written to it for long; or is gone."""
+    """Whether a file was read to its end, and nobody writes to it any more; or is gone."""
     try:
         status = path.stat()
     except OSError:
         return True
-    return status.st_size == end and time.time() - status.st_mtime > _IDLE_SECONDS
+    idle = path.name.startswith(FETCHED_PREFIX) or time.time() - status.st_mtime > _IDLE_SECONDS
+    return idle and status.st_size == end
 
 
 def _remove(path: Path, end: int) -> bool:

@@ -69,9 +69,10 @@ class Place(Protocol):
 
 def shown(url: str) -> str:
     """A URL without user, password and query: for messages and notes."""
-    scheme, _, rest = re.split(r"[?#]", url, maxsplit=1)[0].partition("://")
+    scheme, _, rest = url.partition("://")
     host, slash, path = rest.partition("/")
-    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}".rstrip("/")
+    plain = f"{host.rpartition('@')[2]}{slash}{path}"  # a password may hold what else ends a host
+    return f"{scheme}://{re.split(r'[?#]', plain, maxsplit=1)[0]}".rstrip("/")
 
 
 def read_small(place: Place, name: str, most: int) -> bytes:
@@ -127,7 +128,8 @@ def tried(call: Callable[[], Found], where: str, seconds: float, attempts: int =
             if _is_lasting(error) or attempt == attempts - 1:
                 reason = getattr(error, "reason", None)  # of urllib
                 said = first_line(reason if isinstance(reason, Exception) else error)
-                raise StoreError(f"{where}: {said}; try again later") from error
+                then = "see who may use it" if _is_lasting(error) else "try again later"
+                raise StoreError(f"{where}: {said}; {then}") from error
             time.sleep(0.5 * 2**attempt)
     raise AssertionError(attempts)
 

@@ -30,12 +30,18 @@ def open_place(url: str, patience: Patience = PATIENCE) -> Place:
     """
     if not _URL.match(url):
         raise InputError(f"{url!r} is no URL; name a place like s3://bucket/tables or file:///mnt")
-    parts = urlsplit(url)
+    try:
+        parts = urlsplit(url)
+    except ValueError as error:  # brackets around no address
+        raise InputError(f"{shown(url)} is no URL: {error}") from error
     if parts.query or parts.fragment:
         raise InputError(f"{shown(url)}: a place's URL has no `?` and no `#`")
     scheme = parts.scheme.lower()
     if scheme == "file":
-        return FolderPlace(Path(unquote(parts.netloc + parts.path)))
+        path = unquote(parts.path if parts.netloc == "localhost" else parts.netloc + parts.path)
+        if "\0" in path:
+            raise InputError(f"{shown(url)!r} names no folder: there is a NUL in it")
+        return FolderPlace(Path(path))
     if scheme in {"http", "https"}:
         return WebPlace(url, patience)
     return FsspecPlace.open(url, patience)

@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -73,19 +73,20 @@ def pull(
     if pointer is None:
         raise StoreError(
             f"no tables for {labels} at {shown(url)}; name others with `--labels`, or run "
-            f"`roomtables push {shown(url)}` where they are built"
+            "`roomtables push` to that place where they are built"
         )
     checked = read_checked(place, labels, pointer.name)
     if _is_here(space, pointer):
-        with build_lock(tables):
+        with build_lock(tables, wait=True):  # for another pull, which ends in bounded time
             _settle(space, url, checked)
         return Pulled(labels, pointer.name, False, 0, 0, 0)
     content, manifest = _index(place, labels, pointer, url)
-    with build_lock(tables):
+    with build_lock(tables, wait=True):
         space.path.mkdir(exist_ok=True)
         needed = {facts.sha256: facts for facts in manifest.files.values()}
         total = sum(facts.bytes for facts in needed.values())
         job = _Fetching(place, space, url, lambda done: progress(done, total))
+        job.remove_others(needed)
         job.check_room(needed.values())
         found = {digest: job.fetch(facts) for digest, facts in needed.items()}
         _publish(space, pointer, content, manifest, found)
@@ -152,6 +153,13 @@ class _Fetching:
                 continue
             self._local |= {facts.sha256: path / name for name, facts in files.items()}
         self.fetched = self.here = 0
+
+    def remove_others(self, needed: Container[str]) -> None:
+        """Remove what was fetched of a version that the place names no more."""
+        with writing(self._folder):
+            for path in self._folder.iterdir():
+                if path.name not in needed:
+                    path.unlink()
 
     def check_room(self, needed: Iterable[FileFacts]) -> None:
         """Refuse to fetch what cannot fit.

@@ -29,6 +29,7 @@ from roomtables.storage.checked import (
     parse_checked,
 )
 from roomtables.storage.export import WriteModel
+from roomtables.storage.files import held
 from roomtables.storage.lookup import Lookup
 from roomtables.storage.manifest import FileFacts, Manifest, ManifestError
 from roomtables.storage.packed import Packed
@@ -83,6 +84,7 @@ def push(
     version.verify()
     place = open_place(url, patience)
     with ExitStack() as stack:
+        stack.enter_context(held(version.path))
         model = None
         if write_model is not None:
             model = stack.enter_context(scratch("push", tables))

@@ -23,13 +23,13 @@ from roomtables.storage.files import refuse_outside, write_aside
 from roomtables.storage.miss_log import FILE_BYTES, FOLDER, FOLDER_BYTES, folder_bytes
 from roomtables.storage.misses import FETCHED_PREFIX, SENT_NOTE, Miss, Misses
 from roomtables.storage.origin import origin_of
-from roomtables.storage.place import PATIENCE, MissingError, Patience, Place, read_small, shown
+from roomtables.storage.place import PATIENCE, Patience, Place, read_small, shown
 from roomtables.storage.places import open_place
 from roomtables.storage.versions import SpaceFolder
 
 _NAME = re.compile(r"[\w-]{1,64}-([0-9a-f]{64})\.jsonl", re.ASCII)
 _FETCHED = "fetched.json"
-_MOST_FILES = 100_000  # of a place
+_MOST_KNOWN = 50_000  # names of files that came, before those that are gone are forgotten
 
 log = logging.getLogger(__name__)
 
@@ -96,56 +96,63 @@ def _files(misses: Sequence[Miss]) -> Iterator[bytes]:
 def fetch_misses(tables: Path, labels: str, url: str) -> FetchedMisses:
     """Bring the misses that robots sent to a place into this folder's; each file once.
 
-    A file that is too large, or not as its name says, is skipped and named; so are lines that are
-    no misses, by the build that reads them.
+    A file that is too large, cannot be read, or is not as its name says is skipped and named; so
+    are lines that are no misses, by the build that reads them.
 
     Raises
     ------
     StoreError
-        The place cannot be read, or the tables folder not be written.
+        The place cannot be listed, or the tables folder not be written.
     """
     space, place = SpaceFolder(tables, labels), open_place(url)
-    folder = space.path / FOLDER
+    folder, where = space.path / FOLDER, f"{shown(url)}/{labels}/{FOLDER}"
     refuse_outside(tables, space.path, folder)
-    names = place.names(f"{labels}/{FOLDER}")[:_MOST_FILES]
+    listed = place.names(f"{labels}/{FOLDER}")
     before = _fetched(folder)
-    known = before & set(names)
+    # Those that are no longer there are forgotten when they are many, and the place is not empty.
+    known = before & {*listed} if listed and len(before) > _MOST_KNOWN else {*before}
     files = size = skipped = 0
-    for name in names:
-        if name in known:
-            continue
-        content = _content(place, f"{labels}/{FOLDER}/{name}", name, url)
-        if content is None:
-            skipped += 1
-            continue
+    if listed:
         folder.mkdir(parents=True, exist_ok=True)
-        if folder_bytes(folder) + len(content) > FOLDER_BYTES:
-            log.warning("%s is full: the rest of %s waits for the next build", folder, shown(url))
-            break
-        write_aside(folder / f"{FETCHED_PREFIX}{name}", content)
-        known.add(name)
-        files, size = files + 1, size + len(content)
-    if known != before:
-        write_aside(folder / _FETCHED, json.dumps(sorted(known)).encode())
+    try:
+        for name in (name for name in listed if name not in known):
+            try:
+                content = _content(place, f"{labels}/{FOLDER}/{name}", name)
+            except (MalformedError, StoreError) as error:
+                log.warning("%s/%s is skipped: %s", where, name, error)
+                known |= {name} if isinstance(error, MalformedError) else set()  # it stays so
+                skipped += 1
+                continue
+            if folder_bytes(folder) + len(content) > FOLDER_BYTES:
+                log.warning("%s is full: the rest of %s waits for the next build", folder, where)
+                break
+            write_aside(folder / f"{FETCHED_PREFIX}{name}", content)
+            known.add(name)
+            files, size = files + 1, size + len(content)
+    finally:
+        if known != before:
+            write_aside(folder / _FETCHED, json.dumps(sorted(known)).encode())
     return FetchedMisses(files, size, skipped)
 
 
-def _content(place: Place, path: str, name: str, url: str) -> bytes | None:
-    """A file as its name says; ``None`` where it is another, which is warned of."""
-    where, found = f"{shown(url)}/{path}", _NAME.fullmatch(name)
+def _content(place: Place, path: str, name: str) -> bytes:
+    """A file as its name says.
+
+    Raises
+    ------
+    MalformedError
+        It is another.
+    StoreError
+        It cannot be read.
+    """
+    found = _NAME.fullmatch(name)
     if found is None:
-        log.warning("%s is skipped: it is no file of misses", where)
-        return None
-    try:
-        if (place.size(path) or 0) > FILE_BYTES:
-            log.warning("%s is skipped: it is larger than %d MB", where, FILE_BYTES >> 20)
-            return None
-        content = read_small(place, path, FILE_BYTES)
-    except MissingError:
-        return None
+        raise MalformedError("it is no file of misses")
+    if (place.size(path) or 0) > FILE_BYTES:
+        raise MalformedError(f"it is larger than {FILE_BYTES >> 20} MB")
+    content = read_small(place, path, FILE_BYTES)
     if hashlib.sha256(content).hexdigest() != found[1]:
-        log.warning("%s is skipped: it is not as its name says", where)
-        return None
+        raise MalformedError("it is not as its name says")
     return content
 
 

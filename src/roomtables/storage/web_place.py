@@ -98,8 +98,8 @@ class WebPlace:
 
     def _refuse(self) -> NoReturn:
         raise StoreError(
-            f"{self._url} is a web server: tables are pulled from it; push to the folder that it "
-            "serves, by file://"
+            f"{self._url} is a web server, from which tables can only be pulled; for anything else "
+            "name the folder that it serves, as file:///…"
         )
 
 

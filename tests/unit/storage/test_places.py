@@ -17,6 +17,7 @@ from roomtables.errors import InputError, StoreError
 from roomtables.labels import LabelSpace
 from roomtables.storage.checked import CHECKED, last_checked, note_checked
 from roomtables.storage.origin import ORIGIN, origin_of
+from roomtables.storage.place import shown
 from roomtables.storage.pulling import FETCHED, pull
 from roomtables.storage.pushing import push
 from roomtables.storage.versions import SpaceFolder
@@ -251,3 +252,46 @@ def test_an_archive_of_what_a_place_publishes_is_known_to_come_from_there(built,
     (robot / "home" / ORIGIN).unlink()
     assert not pull(robot, "home", url).new
     assert origin_of(SpaceFolder(robot, "home").current()).url == url
+
+
+def test_what_was_fetched_of_another_version_takes_no_room(built, tmp_path):
+    url = f"file://{tmp_path}/place"
+    push(built, "home", url)
+    left = tmp_path / "robot/home" / FETCHED / ("0" * 64)
+    left.parent.mkdir(parents=True)
+    left.write_bytes(b"x" * 1000)
+    (tmp_path / "place/home/CURRENT").rename(tmp_path / "kept")
+    with pytest.raises(StoreError):
+        pull(tmp_path / "robot", "home", url)
+    assert left.exists()
+    (tmp_path / "kept").rename(tmp_path / "place/home/CURRENT")
+    for path in (tmp_path / "place/home/files").iterdir():
+        path.write_bytes(b"")  # no pull ends here, and none is as long as its name says
+    with pytest.raises(StoreError, match="is not the file of this hash"):
+        pull(tmp_path / "robot", "home", url)
+    assert not left.exists()
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("https://robot:pass@host/tables", "https://host/tables"),
+        ("https://robot:pa#ss@host/tables", "https://host/tables"),
+        ("https://robot:pa?ss@host/tables?token=1", "https://host/tables"),
+        ("hf://datasets/user/name@main/", "hf://datasets/user/name@main"),
+    ],
+)
+def test_no_password_is_shown(url, said):
+    assert shown(url) == said
+
+
+@pytest.mark.parametrize("url", ["http://[::1/tables", "https://host:99999999/t", "file:///a%00b"])
+def test_what_is_no_url_is_one_line(built, url):
+    with pytest.raises(InputError) as raised:
+        push(built, "home", url)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_folder_of_this_machine_may_be_named_with_its_host(built, tmp_path):
+    push(built, "home", f"file://localhost{tmp_path}/place")
+    assert pull(tmp_path / "robot", "home", f"file://{tmp_path}/place").new

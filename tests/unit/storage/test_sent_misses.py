@@ -7,7 +7,9 @@ import pytest
 
 from robot_tables import publish
 from roomtables import RoomTables
+from roomtables.errors import StoreError
 from roomtables.labels import LabelSpace
+from roomtables.storage import place
 from roomtables.storage.miss_log import FILE_BYTES, FOLDER, MissLog
 from roomtables.storage.misses import SENT_NOTE, Misses
 from roomtables.storage.pulling import pull
@@ -149,3 +151,46 @@ def test_a_damaged_note_of_what_came_is_as_none(robot, url, tmp_path):
 def test_a_robot_asks_its_tables_and_never_the_place(robot, url, tmp_path):
     (tmp_path / "place").rename(tmp_path / "gone")
     assert RoomTables.open(robot, "home", offline=True).classify(["bed"]).room
+
+
+def test_a_file_that_cannot_be_read_costs_only_itself(robot, url, tmp_path, caplog, monkeypatch):
+    put(tmp_path, json.dumps(LINE).encode() + b"\n")
+    [bad] = (tmp_path / "place/home" / FOLDER).iterdir()
+    send_misses(robot, "home", url)
+    whole = place.read_small
+
+    def refused(there, name, most):
+        if bad.name in name:
+            raise StoreError("access denied")
+        return whole(there, name, most)
+
+    monkeypatch.setattr("roomtables.storage.sent_misses.read_small", refused)
+    done = fetch_misses(tmp_path / "built", "home", url)
+    assert (done.files, done.skipped) == (1, 1)
+    assert f"{bad.name} is skipped: access denied" in caplog.text
+    monkeypatch.undo()
+    assert fetch_misses(tmp_path / "built", "home", url).files == 1
+
+
+def test_what_is_no_misses_is_fetched_and_named_once(robot, url, tmp_path, caplog):
+    put(tmp_path, b"{}", "robot-" + "0" * 64 + ".jsonl")
+    assert fetch_misses(tmp_path / "built", "home", url).skipped == 1
+    caplog.clear()
+    assert fetch_misses(tmp_path / "built", "home", url).skipped == 0
+    assert not caplog.text
+
+
+def test_a_place_that_is_not_there_once_makes_no_file_new(robot, url, tmp_path):
+    send_misses(robot, "home", url)
+    fetch_misses(tmp_path / "built", "home", url)
+    fetch_misses(tmp_path / "built", "home", f"file://{tmp_path}/nowhere")
+    assert fetch_misses(tmp_path / "built", "home", url).files == 0
+
+
+def test_a_file_that_a_build_has_taken_in_makes_room_at_once(robot, url, tmp_path):
+    send_misses(robot, "home", url)
+    fetch_misses(tmp_path / "built", "home", url)
+    folder = tmp_path / "built/home" / FOLDER
+    assert list(folder.glob("+*.jsonl"))
+    Misses.read(folder).take_in()
+    assert not list(folder.glob("+*.jsonl"))
