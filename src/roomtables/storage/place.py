@@ -1,4 +1,4 @@
-"""What a place for tables is: files by name, read and written in bounded time.
+"""What a place for tables is: files by name, over a network in bounded time.
 
 What a place or its library raises becomes one line. Whatever stalls, or sends a byte now and then,
 is given up.
