@@ -34,7 +34,7 @@ KINDS = {
 DOCUMENTS = {"sentence": 110, "one_room": 4, "many_rooms": 5, "walk": 3}
 NOISE_SHARE = 0.4  # of sentences have words of their frame replaced
 MADE_UP_SHARE = 0.3  # of those words are made up
-LEAD_SHARE = 0.5  # of sentences from objects to a room begin with any object, as likely as another
+LEAD_SHARE = 0.5  # of sentences from objects to a room start from an object, drawn from all alike
 
 
 _ONSETS = (

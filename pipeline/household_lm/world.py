@@ -1,7 +1,8 @@
 """The facts arranged for drawing: a room's name first, then objects by how typical they are.
 
 Every room's own name is drawn equally often, and a synonym at 0.3 of that, so that how often a
-name is read says nothing of its room.
+name is read says nothing of its room. Only where a scene starts from an object (`scene.py`) does a
+room come as often as it is likely to hold that.
 """
 
 from __future__ import annotations
