@@ -1,9 +1,9 @@
 """What a text's next names should be, given what it has told: the knowledge's own posterior.
 
 Where a name stands, the model is trained against the knowledge's posterior (`bayes.py`), not the
-name that was drawn: drawing only chooses the texts. Everywhere else behind the first object it is trained
-on the *ratios* between rooms' names (behind a room: between its objects' names), so that what it
-knows of them does not depend on the words of a sentence.
+name that was drawn: drawing only chooses the texts. Everywhere else behind the first object it is
+trained on the *ratios* between rooms' names (behind a room: between its objects' names), so that
+what it knows of them does not depend on the words of a sentence.
 """
 
 from __future__ import annotations
