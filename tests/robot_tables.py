@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -114,3 +116,12 @@ def _query_scores(
     scores = _scored(space, scorer, groups)[:, predicted]
     chunks = [(keys[order], scores.astype(np.float32))] if groups else []
     return ScoreChunks(len(groups), len(predicted), chunks)
+
+
+def publish_index(index: Path, value: Mapping[str, Any]) -> None:
+    """Let a place's pointer name an index of this content instead of one that is there."""
+    content = json.dumps(value).encode()
+    digest = hashlib.sha256(content).hexdigest()
+    name = f"{index.stem[:-8]}{digest[:8]}"
+    index.with_name(f"{name}.json").write_bytes(content)
+    (index.parents[1] / "CURRENT").write_text(f"{name} {digest}\n")

@@ -140,7 +140,9 @@ def read_pointer(place: Place, labels: str) -> Pointer | None:
         return None
     pointer = Pointer.parse(content.decode("ascii", "replace"))
     whole = len(pointer.sha256) == 64 and set(pointer.sha256) <= set("0123456789abcdef")
-    if not NAME.fullmatch(pointer.name) or not whole:
+    # A name bears its index's hash, so that no two indexes are ever put into one folder.
+    named = NAME.fullmatch(pointer.name) and pointer.name.endswith(pointer.sha256[:8])
+    if not named or not whole:
         raise StoreError(f"{labels}/{CURRENT} of the place names no version; push again")
     return pointer
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from robot_tables import publish
+from robot_tables import publish, publish_index
 from roomtables import RoomTables
 from roomtables.cli import main
 from roomtables.errors import InputError, StoreError
@@ -123,10 +123,8 @@ def test_a_hostile_index_writes_nothing_outside(built, tmp_path, name):
     (index,) = (tmp_path / "place/home/versions").iterdir()
     value = json.loads(index.read_text())
     value["files"][name] = next(iter(value["files"].values()))
-    index.write_text(json.dumps(value))
-    digest = hashlib.sha256(index.read_bytes()).hexdigest()
-    (tmp_path / "place/home/CURRENT").write_text(f"{index.stem} {digest}\n")
-    with pytest.raises(StoreError):
+    publish_index(index, value)
+    with pytest.raises(StoreError, match="is no file of tables|`files` names"):
         pull(tmp_path / "robot", "home", url)
     assert not list(tmp_path.rglob("evil"))
     assert not (tmp_path / "robot/home/CURRENT").exists()
@@ -295,3 +293,16 @@ def test_what_is_no_url_is_one_line(built, url):
 def test_a_folder_of_this_machine_may_be_named_with_its_host(built, tmp_path):
     push(built, "home", f"file://localhost{tmp_path}/place")
     assert pull(tmp_path / "robot", "home", f"file://{tmp_path}/place").new
+
+
+def test_an_index_of_another_hash_is_never_put_into_a_folder_that_is_there(built, tmp_path):
+    url = f"file://{tmp_path}/place"
+    push(built, "home", url)
+    pull(tmp_path / "robot", "home", url)
+    (index,) = (tmp_path / "place/home/versions").iterdir()
+    index.write_text(json.dumps(json.loads(index.read_text()), indent=1))
+    digest = hashlib.sha256(index.read_bytes()).hexdigest()
+    (tmp_path / "place/home/CURRENT").write_text(f"{index.stem} {digest}\n")
+    with pytest.raises(StoreError, match="names no version"):
+        pull(tmp_path / "robot", "home", url)
+    assert SpaceFolder(tmp_path / "robot", "home").current().verify() is None
