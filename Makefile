@@ -86,8 +86,9 @@ test-real-lm: $(VENV)/.installed-dev
 # moto's server is the store. What it and s3fs need, other packages here have in newer releases: so
 # they have a folder of their own, and no constraints.txt.
 STORE := $(VENV)/object-store
+STORE_TESTS ?=
 test-object-store: $(STORE)/.installed
-	env -u PYTHONPATH $(STORE)/bin/python -m pytest tests/unit/storage/test_object_store.py
+	env -u PYTHONPATH $(STORE)/bin/python -m pytest tests/unit/storage/test_object_store.py $(STORE_TESTS)
 
 $(STORE)/.installed: pyproject.toml
 	$(PYTHON) -m venv --clear $(STORE)
