@@ -124,7 +124,7 @@ def test_a_hostile_index_writes_nothing_outside(built, tmp_path, name):
     value = json.loads(index.read_text())
     value["files"][name] = next(iter(value["files"].values()))
     publish_index(index, value)
-    with pytest.raises(StoreError, match="is no file of tables|`files` names"):
+    with pytest.raises(StoreError, match=r"is no file of tables|`files` names"):
         pull(tmp_path / "robot", "home", url)
     assert not list(tmp_path.rglob("evil"))
     assert not (tmp_path / "robot/home/CURRENT").exists()
