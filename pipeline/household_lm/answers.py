@@ -163,7 +163,7 @@ class Posterior:
         """Targets for a room's name: its article, its first token, and those behind it."""
         share = np.exp(self._log_share(answer.told))
         found = []
-        if answer.form == "a":
+        if answer.form == "a" and ids[first - 1] in self._articles:
             an = share[self._has_an].sum() / share.sum()
             found.append(Target(first - 1, self._articles, np.array([1 - an, an], np.float32)))
             share = np.where(self._has_an == self._has_an[self._names[answer.name]], share, 0.0)

@@ -7,7 +7,6 @@ asked to score ("A room cont… is called …") is never written.
 from __future__ import annotations
 
 import random
-import re
 from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import islice
@@ -16,8 +15,9 @@ from pathlib import Path
 import click
 
 from .facts import Facts, Room, Thing, load_facts
-from .grammar import Frame, load_frames, own_words, render, slots
+from .grammar import Frame, load_frames, render, slots
 from .marks import Evidence, Marked, marked
+from .noise import noise, noise_words
 from .scene import Scene
 from .world import World
 
@@ -32,63 +32,19 @@ KINDS = {
 }
 # How often a document is of a kind: one sentence; several on one room; several on many rooms.
 DOCUMENTS = {"sentence": 110, "one_room": 4, "many_rooms": 5, "walk": 3}
-NOISE_SHARE = 0.4  # of sentences have words of their frame replaced
-MADE_UP_SHARE = 0.3  # of those words are made up
+NOISE_SHARE = 0.6  # of sentences have words of their frame replaced
 LEAD_SHARE = 0.5  # of sentences from objects to a room start from an object, drawn from all alike
-
-
-_ONSETS = (
-    "",
-    *"bcdfghjklmnprstvwz",
-    "bl",
-    "br",
-    "ch",
-    "cl",
-    "cr",
-    "dr",
-    "fl",
-    "gr",
-    "pl",
-    "pr",
-    "qu",
-    "sh",
-    "sl",
-    "sp",
-    "st",
-    "str",
-    "th",
-    "tr",
-    "wh",
-)
-_CODAS = (
-    "",
-    "",
-    *"bdglmnprstxy",
-    "ck",
-    "ds",
-    "ed",
-    "er",
-    "ing",
-    "ll",
-    "ly",
-    "nd",
-    "ng",
-    "ns",
-    "nt",
-    "rd",
-    "rs",
-    "st",
-)
 
 
 class Writer:
     """Writes documents from one stream of random numbers."""
 
     def __init__(
-        self, world: World, seed: int, mark: bool = False, noise: float = NOISE_SHARE
+        self, world: World, seed: int, mark: bool = False, noisy: float = NOISE_SHARE
     ) -> None:
-        self.world, self.rng, self.mark, self.noise = world, random.Random(seed), mark, noise
+        self.world, self.rng, self.mark, self.noisy = world, random.Random(seed), mark, noisy
         self.marks: list[Marked] = []
+        self._words = noise_words(world.facts) if noisy else []
 
     def document(self) -> str:
         """Write one document; with ``mark``, what its marks say is then in ``marks``."""
@@ -118,22 +74,8 @@ class Writer:
         return sentence + marked("")
 
     def _noise(self) -> Callable[[str], str]:
-        """What becomes of the frame's own words: mostly nothing, else some are replaced at random.
-
-        So a model learns to go by the objects also in a sentence whose words it has not read.
-        """
-        if self.rng.random() >= self.noise:
-            return str
-        share = self.rng.choice([0.15, 0.35, 0.6, 1.0])
-
-        def word(match: re.Match[str]) -> str:
-            if self.rng.random() >= share:
-                return match.group()
-            if self.rng.random() < MADE_UP_SHARE:
-                return made_up(self.rng)
-            return self.rng.choice(noise_words())
-
-        return lambda text: re.sub(r"[A-Za-z]+", word, text)
+        """What becomes of a frame's own words: nothing, or noise."""
+        return noise(self._words, self.rng) if self.rng.random() < self.noisy else str
 
     def _thing(self) -> Thing:
         return self.rng.choice(self.world.placed)
@@ -161,32 +103,17 @@ def _frames(kind: str) -> list[Frame]:
 
 
 @cache
-def noise_words() -> list[str]:
-    """Give the words of all frames, less those that could make the query's sentence."""
-    found: set[str] = set()
-    for kind in (*KINDS, "walks", "walk_openings"):
-        found.update(*(own_words(frame) for frame in _frames(kind)))
-    return sorted(found - {"containing", "called"})
-
-
-def made_up(rng: random.Random) -> str:
-    """A word that means nothing, of one to three syllables."""
-    syllables = (rng.choice(_ONSETS) + rng.choice("aeiou") for _ in range(rng.randint(1, 3)))
-    return "".join(syllables) + rng.choice(_CODAS)
-
-
-@cache
 def _speaks_of_objects_only(kind: str, frame_id: int) -> bool:
     frame = next(frame for frame in _frames(kind) if id(frame) == frame_id)
     return not any("home" in slot for slot in slots(frame))
 
 
-def documents(facts: Facts, seed: int, noise: float = NOISE_SHARE) -> Iterator[str]:
+def documents(facts: Facts, seed: int, noisy: float = NOISE_SHARE) -> Iterator[str]:
     """Yield documents without end; the same facts and seed give the same ones.
 
-    ``noise`` is the share of sentences some of whose words are replaced.
+    ``noisy`` is the share of sentences some of whose words are replaced.
     """
-    writer = Writer(World(facts), seed, noise=noise)
+    writer = Writer(World(facts), seed, noisy=noisy)
     while True:
         yield writer.document()
 

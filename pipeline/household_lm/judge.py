@@ -28,6 +28,7 @@ from .scene import Scene
 from .world import World, is_held_out
 
 SIZES = (1, 2, 3, 8)
+_TIE = 1e-6  # nats between rooms that are equally likely
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Judgement:
     Attributes
     ----------
     kl : from the knowledge's exact p(room | objects) to the model's, in nats
-    accuracy : share of sets whose likeliest room is the knowledge's likeliest
+    accuracy : share of sets whose likeliest room is the knowledge's, or one of its likeliest
     bias_spread : standard deviation over rooms of the mean log probability, in nats
     """
 
@@ -85,7 +86,8 @@ def judge(
                 for frame in frames
             ]
         ).log_softmax(-1)  # (frames, sets, rooms)
-        right = scores.argmax(-1) == exact.argmax(-1)
+        likeliest = (exact > exact.max(-1, keepdim=True).values - _TIE).expand_as(scores)
+        right = likeliest.gather(-1, scores.argmax(-1, keepdim=True))
         found.append(
             Judgement(
                 size,

@@ -68,7 +68,7 @@ def train_tokenizer(facts: Facts, vocabulary: int, count: int = _TOKENIZER_DOCUM
         initial_alphabet=pre_tokenizers.ByteLevel.alphabet(),
         show_progress=False,
     )
-    texts = islice(documents(facts, _TOKENIZER_SEED, noise=0.0), count)
+    texts = islice(documents(facts, _TOKENIZER_SEED, noisy=0.0), count)
     tokenizer.train_from_iterator(chain(texts, _names(facts)), trainer)
     tokenizer.post_processor = processors.TemplateProcessing(
         single=f"{BOS} $A", pair=f"{BOS} $A {BOS} $B", special_tokens=[(BOS, 0)]

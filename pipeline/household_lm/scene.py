@@ -133,7 +133,8 @@ class Scene:
     def objects(self) -> list[str]:
         """The names of the objects of ``{objects}``."""
         count = self.rng.choices(_LIST_LENGTHS, _LIST_WEIGHTS)[0]
-        stray = count > 1 and self.rng.random() < _STRAY_SHARE and not self._knows_room()
+        told = self.contrast or self._knows_room()
+        stray = count > 1 and self.rng.random() < _STRAY_SHARE and not told
         lead = [self._lead] if self._lead else []
         lead += [self.rng.choice(self.world.placed).name] if stray else []
         return self.world.draw_objects(self.room, count, self.rng, lead=[*dict.fromkeys(lead)])

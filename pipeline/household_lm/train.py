@@ -7,6 +7,7 @@ averaged weights are exported in float16 to ``--output``, and as an ONNX file fo
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +100,7 @@ def export(training: Training, folder: Path) -> None:
 @click.option("--average", default=Recipe.average, show_default=True)
 def main(work: Path, output: Path, measure_every: int, **options: Any) -> None:
     """Train, or go on training, and export."""
-    torch.set_num_threads(1)  # its matrices are too small for more to be faster
+    torch.set_num_threads(min(2, os.cpu_count() or 1))  # its matrices are too small for more
     work.mkdir(parents=True, exist_ok=True)
     training = Training(Recipe(**options), load_facts(), work)
     training.resume()
