@@ -17,7 +17,7 @@ from .grammar import FRAMES, load_frames, own_words
 _SHARES = (0.15, 0.35, 0.6, 1.0)  # of a sentence's own words that change
 _LENGTHS = (0, 1, 1, 1, 2, 3)  # words in place of one
 _MADE_UP_SHARE = 0.3  # of those words
-_OF_THE_QUERY = {"containing", "called"}  # whose sentence is never written
+_OF_THE_QUERY = {"containing", "called", "room", "rooms"}  # whose sentence is never written
 _HELD_OUT = "held_out"
 _ONSETS = "b c d f g h j k l m n p r s t v w z bl br ch cl cr dr fl gr pl pr sh sl sp st str th tr"
 _CODAS = "b d g l m n p r s t x y ck ds ed er ing ll ly nd ng ns nt rd rs st"
@@ -51,7 +51,8 @@ def noise_words(facts: Facts) -> list[str]:
             of_frames.update(*(own_words(frame) for frame in load_frames(path.stem)))
     of_prose = {word for text in _prose(facts) for word in re.findall(r"[a-z]+", text)}
     of_names = {word for name in _names(facts) for word in name.split()}
-    return sorted((of_frames | of_prose - of_names) - _OF_THE_QUERY)
+    found = of_frames | of_prose - of_names
+    return sorted(word for word in found if word.lower() not in _OF_THE_QUERY)
 
 
 def _prose(facts: Facts) -> Iterator[str]:
