@@ -15,7 +15,7 @@ from pathlib import Path
 import click
 
 from .facts import Facts, Room, Thing, load_facts
-from .grammar import Frame, load_frames, render, slots
+from .grammar import Frame, load_frames, own_words, render, slots
 from .marks import Evidence, Marked, marked
 from .noise import noise, noise_words
 from .scene import Scene
@@ -61,7 +61,8 @@ class Writer:
             thing = self._thing()
         marks = self.marks if self.mark and not room else None
         scene = Scene(self.world, self.rng, room, thing, kind == "comparisons", marks)
-        return self._ended(render(frame, scene.fill, self.rng, self._noise() if not room else str))
+        say = str if room else self._noise(frame)
+        return self._ended(render(frame, scene.fill, self.rng, say))
 
     def _leads(self, kind: str) -> bool:
         return kind == "objects_to_room" and self.rng.random() < LEAD_SHARE
@@ -73,9 +74,11 @@ class Writer:
         self.marks.append(Evidence())
         return sentence + marked("")
 
-    def _noise(self) -> Callable[[str], str]:
+    def _noise(self, frame: Frame) -> Callable[[str], str]:
         """What becomes of a frame's own words: nothing, or noise."""
-        return noise(self._words, self.rng) if self.rng.random() < self.noisy else str
+        if self.rng.random() >= self.noisy:
+            return str
+        return noise(self._words, own_words(frame), self.rng)
 
     def _thing(self) -> Thing:
         return self.rng.choice(self.world.placed)

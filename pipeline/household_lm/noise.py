@@ -17,18 +17,25 @@ from .grammar import FRAMES, load_frames, own_words
 _SHARES = (0.15, 0.35, 0.6, 1.0)  # of a sentence's own words that change
 _LENGTHS = (0, 1, 1, 1, 2, 3)  # words in place of one
 _MADE_UP_SHARE = 0.3  # of those words
-_OF_THE_QUERY = {"containing", "called", "room", "rooms"}  # whose sentence is never written
+# The query's sentence is never written: these in no noise, those in no sentence with one another.
+_ROOM = {"room", "rooms"}
+_OF_THE_QUERY = {"containing", "called"}
 _HELD_OUT = "held_out"
 _ONSETS = "b c d f g h j k l m n p r s t v w z bl br ch cl cr dr fl gr pl pr sh sl sp st str th tr"
 _CODAS = "b d g l m n p r s t x y ck ds ed er ing ll ly nd ng ns nt rd rs st"
 
 
-def noise(words: list[str], rng: random.Random) -> Callable[[str], str]:
-    """Choose how much of one sentence changes; the result changes each part of it."""
+def noise(words: list[str], own: set[str], rng: random.Random) -> Callable[[str], str]:
+    """Choose how much of a sentence changes, whose frame has ``own`` words.
+
+    The result changes each part of it.
+    """
     share = rng.choice(_SHARES)
+    spared = _OF_THE_QUERY - (own & _OF_THE_QUERY or {rng.choice(sorted(_OF_THE_QUERY))})
 
     def word() -> str:
-        return made_up(rng) if rng.random() < _MADE_UP_SHARE else rng.choice(words)
+        found = made_up(rng) if rng.random() < _MADE_UP_SHARE else rng.choice(words)
+        return word() if found in spared else found
 
     def changed(match: re.Match[str]) -> str:
         if rng.random() >= share:
@@ -42,8 +49,8 @@ def noise(words: list[str], rng: random.Random) -> Callable[[str], str]:
 def noise_words(facts: Facts) -> list[str]:
     """Give the words of the frames and of the knowledge's prose that tell of no room.
 
-    Without the words of any name in the prose, and without those that could make the query's
-    sentence.
+    Without the words of any name in the prose, and without "room", lest the query's sentence be
+    written.
     """
     of_frames: set[str] = set()
     for path in FRAMES.glob("*.txt"):
@@ -51,8 +58,8 @@ def noise_words(facts: Facts) -> list[str]:
             of_frames.update(*(own_words(frame) for frame in load_frames(path.stem)))
     of_prose = {word for text in _prose(facts) for word in re.findall(r"[a-z]+", text)}
     of_names = {word for name in _names(facts) for word in name.split()}
-    found = of_frames | of_prose - of_names
-    return sorted(word for word in found if word.lower() not in _OF_THE_QUERY)
+    found = of_frames | _OF_THE_QUERY | of_prose - of_names
+    return sorted(word for word in found if word.lower() not in _ROOM)
 
 
 def _prose(facts: Facts) -> Iterator[str]:

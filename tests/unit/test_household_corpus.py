@@ -10,8 +10,9 @@ from itertools import islice
 import pytest
 from pipeline.household_lm import check_knowledge
 from pipeline.household_lm.facts import Facts, load_facts
-from pipeline.household_lm.generate import KINDS, documents, noise_words
+from pipeline.household_lm.generate import KINDS, documents
 from pipeline.household_lm.grammar import FRAMES, load_frames, parse, read_lines, render
+from pipeline.household_lm.noise import made_up, noise, noise_words
 from pipeline.household_lm.scene import Scene
 from pipeline.household_lm.world import World, is_held_out
 
@@ -46,10 +47,40 @@ def test_the_query_frame_is_in_no_file_of_frames() -> None:
             assert not ("containing" in line and "called" in line), line
 
 
-def test_noise_cannot_make_the_query_frame() -> None:
-    words = noise_words()
-    assert len(words) > 500
-    assert not {"containing", "called"} & set(words)
+def test_noise_cannot_make_the_query_frame(facts: Facts) -> None:
+    words = noise_words(facts)
+    assert len(words) > 1_000
+    assert not {"room", "rooms"} & {word.lower() for word in words}
+    rng, query = random.Random(2), {"containing", "called"}
+    for own in (set(), {"containing"}, {"called"}):
+        for _ in range(500):
+            made = set(noise([*query], own, rng)("one two three four").split())
+            assert not query <= own | made
+
+
+def test_the_prose_lends_noise_no_name(facts: Facts) -> None:
+    words = set(noise_words(facts))
+    assert "sweep" in words  # "sweep the floor"
+    assert "refrigerator" not in words  # from the definition of another object
+    assert "bathroom" not in words
+
+
+def test_noise_changes_lengthens_and_shortens_a_frame(facts: Facts) -> None:
+    rng, words, text = random.Random(1), noise_words(facts), "  where they keep, say, no  "
+    made = [noise(words, set(), rng)(text) for _ in range(300)]
+    lengths = {len(noisy.split()) for noisy in made}
+    assert min(lengths) < 5 < max(lengths)
+    assert sum(noisy == text for noisy in made) < 150
+    # What is no word of a frame stays: stops, and the space before a slot.
+    assert all(noisy.count(",") == 2 and noisy.startswith("  ") for noisy in made)
+    assert all(noisy.endswith(" ") for noisy in made)
+
+
+def test_noise_is_drawn_from_its_seed(facts: Facts) -> None:
+    words = noise_words(facts)
+    first, again = (noise(words, set(), random.Random(9))("one two three four") for _ in range(2))
+    assert first == again
+    assert len({made_up(random.Random(seed)) for seed in range(50)}) > 40
 
 
 def test_the_words_of_the_query_frame_occur_elsewhere(sample: list[str]) -> None:
