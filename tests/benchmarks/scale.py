@@ -20,11 +20,11 @@ from roomtables.lm import load_scorer
 from roomtables.offline.engines import SHARD_SENTENCES
 from roomtables.packing.sequences import sort_sequences
 from roomtables.packing.trie import build_trie
-from roomtables.sentences import Template
+from roomtables.sentences import DEFAULT_TEMPLATE, Template
 from roomtables.storage.manifest import count_combinations
 
 
-def tokens_per_sentence(labels: str, samples: int) -> tuple[float, float]:
+def tokens_per_sentence(labels: str, template: Template, samples: int) -> tuple[float, float]:
     """Mean tokens of a sentence, and inner nodes of the trie (what a model runs) per sentence."""
     space = load_labels(labels)
     backend = load_scorer().backend
@@ -35,7 +35,7 @@ def tokens_per_sentence(labels: str, samples: int) -> tuple[float, float]:
         sentences = [
             sentence
             for third in others
-            for sentence in Template().compose([first, second, third], space.predicted_rooms)
+            for sentence in template.compose([first, second, third], space.predicted_rooms)
         ]
         tokens = list(backend.encode(sentences).tokens)
         sequences, _ = sort_sequences(tokens)
@@ -54,6 +54,7 @@ def bytes_per_sentence(folder: Path) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--labels", default="nyuclass", help="whose objects stand in for more")
+    parser.add_argument("--template", default=DEFAULT_TEMPLATE, help="of the sentences")
     parser.add_argument("--objects", type=int, default=1200)
     parser.add_argument("-k", type=int, default=3)
     parser.add_argument("--rate", type=float, required=True, help="sentences a second, one worker")
@@ -67,7 +68,7 @@ def main() -> None:
     rooms = len(load_labels(options.labels).predicted_rooms)
     combinations = count_combinations(options.objects, options.k)
     sentences = combinations * rooms
-    before, after = tokens_per_sentence(options.labels, 20)
+    before, after = tokens_per_sentence(options.labels, Template(options.template), 20)
     print(f"combinations          {combinations:,}")
     print(f"sentences             {sentences:,}")
     print(f"tokens a sentence     {before:.2f}, after sharing {after:.2f}")
