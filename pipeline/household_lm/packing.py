@@ -154,4 +154,4 @@ def _tensors(rows: list[list[Document]], length: int) -> Batch:
 def _stacked(known: dict[int, Floats]) -> tuple[torch.Tensor, torch.Tensor]:
     """Places before tokens, and a row of probabilities of each."""
     shares = np.stack([*known.values()]) if known else np.zeros((0, 0), np.float32)
-    return torch.tensor([*known]) - 1, torch.from_numpy(shares)
+    return torch.tensor([*known], dtype=torch.long) - 1, torch.from_numpy(shares)

@@ -163,7 +163,7 @@ class Training:
         hidden, embedding = _hidden(self.model, batch), self.model.get_output_embeddings().weight
         targets = batch.targets().flatten()
         read = (targets >= 0) & (torch.rand(len(targets)) < self.recipe.read_share)
-        places = torch.tensor([target.place - 1 for target in batch.answers])
+        places = torch.tensor([target.place - 1 for target in batch.answers], dtype=torch.long)
         read[places] = False
         plain = cross_entropy(hidden[read] @ embedding.T, targets[read])
         expected = torch.zeros(len(places), len(embedding))
@@ -173,6 +173,7 @@ class Training:
         told = sum(
             cross_entropy(hidden[at] @ embedding[names].T, shares, reduction="sum")
             for (at, shares), names in zip((batch.rooms, batch.objects), self.names, strict=True)
+            if len(at)  # a small batch may tell nothing
         )
         weighted = self.recipe.answer_weight * answered + self.recipe.evidence_weight * told
         return plain + weighted / (targets >= 0).sum(), plain.item()
