@@ -102,7 +102,7 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# Trains a model as the embedded one was: two hours on one thread. See pipeline/household_lm/.
+# Trains a model as the embedded one was: an hour and a half on two cores. See pipeline/household_lm/.
 household-lm: $(VENV)/.installed-dev
 	$(BIN)/python -m pipeline.household_lm.train
 

@@ -17,7 +17,7 @@ import click
 from .facts import Facts, Room, Thing, load_facts
 from .grammar import Frame, load_frames, own_words, render, slots
 from .marks import Evidence, Marked, marked
-from .noise import noise, noise_words
+from .noise import noise
 from .scene import Scene
 from .world import World
 
@@ -44,7 +44,6 @@ class Writer:
     ) -> None:
         self.world, self.rng, self.mark, self.noisy = world, random.Random(seed), mark, noisy
         self.marks: list[Marked] = []
-        self._words = noise_words(world.facts) if noisy else []
 
     def document(self) -> str:
         """Write one document; with ``mark``, what its marks say is then in ``marks``."""
@@ -78,7 +77,7 @@ class Writer:
         """What becomes of a frame's own words: nothing, or noise."""
         if self.rng.random() >= self.noisy:
             return str
-        return noise(self._words, own_words(frame), self.rng)
+        return noise(self.world.noise_words, own_words(frame), self.rng)
 
     def _thing(self) -> Thing:
         return self.rng.choice(self.world.placed)

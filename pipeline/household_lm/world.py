@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from .facts import Facts, Room, Thing
+from .noise import noise_words
 
 _SYNONYM_WEIGHT = 0.3
 _HELD_OUT_COMBINATIONS = 50  # one in so many combinations of objects is kept for judging
@@ -56,6 +57,11 @@ class World:
     def placed(self) -> list[Thing]:
         """The objects that some room holds."""
         return [thing for thing in self.facts.things.values() if thing.name in self.homes]
+
+    @cached_property
+    def noise_words(self) -> list[str]:
+        """Words that tell of no room."""
+        return noise_words(self.facts)
 
     @cached_property
     def _rivals(self) -> dict[tuple[str, str], tuple[list[tuple[str, Room]], list[float]]]:
