@@ -40,12 +40,15 @@ class Judgement:
     kl : from the knowledge's exact p(room | objects) to the model's, in nats
     accuracy : share of sets whose likeliest room is the knowledge's, or one of its likeliest
     bias_spread : standard deviation over rooms of the mean log probability, in nats
+    log_error : root mean square, over all rooms alike, of the model's log p(room | objects) less
+        the knowledge's, in nats: what rule `pooled` adds up
     """
 
     size: int
     kl: float
     accuracy: float
     bias_spread: float
+    log_error: float
 
 
 def object_sets(facts: Facts, size: int, count: int, seed: int) -> list[list[str]]:
@@ -94,6 +97,7 @@ def judge(
                 (exact.exp() * (exact - scores)).sum(-1).mean().item(),
                 right.float().mean().item(),
                 scores.mean(1).std(-1).mean().item(),
+                (scores - exact).square().mean().sqrt().item(),
             )
         )
     return found
@@ -149,10 +153,11 @@ def main(model: Path, sets: int) -> None:
     torch.set_num_threads(1)
     loaded: Any = AutoModelForCausalLM.from_pretrained(model, dtype=torch.float32)
     tokenizer = Tokenizer.from_file(str(model / "tokenizer.json"))
-    click.echo("objects  KL (nats)  likeliest room  spread of bias (nats)")
+    click.echo("objects  KL (nats)  likeliest room  spread of bias (nats)  log error (nats)")
     for found in judge(loaded.eval(), tokenizer, load_facts(), sets):
         click.echo(
             f"{found.size:7}  {found.kl:9.3f}  {found.accuracy:14.1%}  {found.bias_spread:21.2f}"
+            f"  {found.log_error:16.2f}"
         )
 
 

@@ -196,14 +196,15 @@ def splits_at_spaces(core: Any) -> bool:
     independently of each other.
 
     So does byte-level splitting by GPT-2's pattern, in which no piece has a space behind another
-    character, of a text that nothing changes before; special tokens may stand before it.
+    character, of a text that nothing changes before, or only letter by letter into small ones;
+    special tokens may stand before it.
     """
     try:
         split, model = core.pre_tokenizer, core.model
         text, added = "a", core.get_added_tokens_decoder().values()
         bare = core.encode(text, add_special_tokens=False).ids
         return (
-            core.normalizer is None
+            type(core.normalizer).__name__ in ("NoneType", "Lowercase")
             and type(split).__name__ == "ByteLevel"
             and split.use_regex
             and not getattr(model, "dropout", None)

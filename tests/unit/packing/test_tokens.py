@@ -20,7 +20,7 @@ SENTENCES = [
 ]
 # What a splitting pattern tells apart: letters, digits, marks, and whitespace of every kind.
 texts = st.text(
-    st.sampled_from("ab'st1é中, .!\u0301🙂\0\n\t\u00a0\u2028    "), min_size=1, max_size=16
+    st.sampled_from("ab'stASİΣ1é中, .!\u0301🙂\0\n\t\u00a0\u2028    "), min_size=1, max_size=16
 )
 
 
@@ -80,8 +80,16 @@ def test_a_prefix_space_stands_before_the_first_word_alone() -> None:
     assert list(WordTokenizer(core, Counting(core))(["a a", "b a"])) == ids(core, ["a a", "b a"])
 
 
-def _lowered(core: Tokenizer) -> None:
+def test_small_letters_are_the_same_word_by_word() -> None:
+    core = bare()
     core.normalizer = normalizers.Lowercase()
+    assert splits_at_spaces(core)
+    sentences = ["B A b", "ΑΣ Σ İ AΣ"]
+    assert list(WordTokenizer(core, Counting(core))(sentences)) == ids(core, sentences)
+
+
+def _stripped(core: Tokenizer) -> None:
+    core.normalizer = normalizers.Strip()
 
 
 def _ending(core: Tokenizer) -> None:
@@ -107,7 +115,7 @@ def _truncating(core: Tokenizer) -> None:
     core.enable_truncation(2)
 
 
-@pytest.mark.parametrize("change", [_lowered, _ending, _metaspace, _unsplit, _spaced, _truncating])
+@pytest.mark.parametrize("change", [_stripped, _ending, _metaspace, _unsplit, _spaced, _truncating])
 def test_other_tokenizers_are_asked_for_whole_sentences(change: Any) -> None:
     core = bare()
     assert splits_at_spaces(core)
