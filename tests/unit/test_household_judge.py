@@ -15,6 +15,7 @@ from pipeline.household_lm import judge as judging  # noqa: E402
 from pipeline.household_lm.bayes import log_posterior  # noqa: E402
 from pipeline.household_lm.facts import load_facts  # noqa: E402
 from pipeline.household_lm.grammar import parse  # noqa: E402
+from pipeline.household_lm.world import is_held_out  # noqa: E402
 from tokenizers import Tokenizer  # noqa: E402
 
 from roomtables.english import article, pluralise  # noqa: E402
@@ -57,8 +58,8 @@ def test_the_judge_says_what_sentences_scored_one_by_one_say(
 def test_sets_of_several_objects_are_kept_out_of_the_corpus() -> None:
     facts = load_facts()
     sets = judging.object_sets(facts, 3, 20, seed=2)
-    assert all(len(objects) == 3 and judging.is_held_out(objects) for objects in sets)
+    assert all(len(objects) == 3 and is_held_out(objects) for objects in sets)
     assert sets == judging.object_sets(facts, 3, 20, seed=2)
     names = [*facts.things]
     random.Random(0).shuffle(names)
-    assert sum(judging.is_held_out(names[at : at + 2]) for at in range(0, 1000, 2)) < 50
+    assert sum(is_held_out(names[at : at + 2]) for at in range(0, 1000, 2)) < 50

@@ -118,7 +118,7 @@ class WordTokenizer:
         self._by_word = splits_at_spaces(core)
         if self._by_word:
             added = core.get_added_tokens_decoder().values()
-            self._special = tuple(token.content for token in added)
+            self._special = tuple(token.content.lower() for token in added)
             found = self._word_by_word(_SAMPLES)
             self._by_word = found is not None and list(found) == list(map(list, whole(_SAMPLES)))
 
@@ -175,7 +175,8 @@ class WordTokenizer:
         found = self._known.get(word)
         if found is None:
             bare = word.removeprefix(" ")
-            apart = bare.split() == [bare] and not any(name in word for name in self._special)
+            small = word.lower()  # as the tokenizer may read it, too
+            apart = bare.split() == [bare] and not any(name in small for name in self._special)
             found = _UNKNOWN
             if apart:
                 encoding = self._core.encode(word, add_special_tokens=word == bare)

@@ -88,6 +88,16 @@ def test_small_letters_are_the_same_word_by_word() -> None:
     assert list(WordTokenizer(core, Counting(core))(sentences)) == ids(core, sentences)
 
 
+def test_a_special_token_in_capitals_is_found_where_letters_are_made_small() -> None:
+    core = bare()
+    core.normalizer = normalizers.Lowercase()
+    # It takes the space behind it, so that the next word is not what it is on its own.
+    core.add_tokens([AddedToken("<e>", rstrip=True, normalized=True)])
+    assert splits_at_spaces(core)
+    for text in ["b <e> a", "b <E> a"]:
+        assert list(WordTokenizer(core, Counting(core))([text])) == ids(core, [text])
+
+
 def _stripped(core: Tokenizer) -> None:
     core.normalizer = normalizers.Strip()
 
